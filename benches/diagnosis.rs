@@ -1,4 +1,5 @@
-//! Time of a diagnosis against the number of sets: through the program, a clean camera and one with row noise.
+//! Duration of a diagnosis against the number of sets, through the program: a clean camera and one with row
+//! noise.
 //!
 //!     cargo bench --bench diagnosis
 
@@ -10,7 +11,8 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
-/// So many sets of eight frames: every fifth one darks, the others flats at levels all over the range.
+/// Plan of `sets` sets of eight frames: every fifth set darks, the others flats at levels over the whole
+/// range.
 fn plan(sets: usize) -> String {
     let mut out = String::from("format = \"radcam-plan/1\"\n");
     for i in 0..sets {

@@ -9,7 +9,7 @@ use radcam::statistics::moments::Moments;
 use radcam_sim::{Conditions, Sensor, sensors};
 use std::hint::black_box;
 
-/// All of the chain (fixed pattern, Poisson, read noise, conversion) for 12-bit flats, on one core.
+/// Full signal chain (fixed pattern, Poisson, read noise, conversion) for 12-bit flats, on one core.
 fn simulate(c: &mut Criterion) {
     let model = sensors::load("cmos12").unwrap();
     let flux = model.bench.photon_flux_per_s * model.base.quantum_efficiency;
@@ -32,7 +32,7 @@ fn simulate(c: &mut Criterion) {
     }
 }
 
-/// Mean and variance over 16 frames of a megapixel; the sum of the same bytes is what memory gives.
+/// Mean and variance over 16 frames of a megapixel; the sum of the same bytes shows the memory bandwidth.
 fn moments(c: &mut Criterion) {
     let (rows, columns, n) = (1024, 1024, 16);
     let frames: Vec<Vec<u16>> =
@@ -42,7 +42,7 @@ fn moments(c: &mut Criterion) {
     let mut group = c.benchmark_group("moments");
     group.throughput(Throughput::Elements((rows * columns * n) as u64));
     for bits in [12, 16] {
-        // As a campaign goes: the memory of one set serves the next.
+        // As in a campaign: the memory of one set is reused for the next.
         let mut moments = Moments::new((rows, columns), bits);
         let mut variance = moments.variance_dn2();
         let mut run = || {
@@ -72,7 +72,8 @@ fn moments(c: &mut Criterion) {
     });
 }
 
-/// Every statistic of a set's noise over 16 frames of a megapixel: 15 covariances, lines, spectrum, tails, codes.
+/// All noise statistics of a set over 16 frames of a megapixel: 15 covariances, lines, spectrum, tails,
+/// codes.
 fn statistics(c: &mut Criterion) {
     use radcam::statistics::{layout::Layout, pass::collect_with};
     let (rows, columns, n) = (1024usize, 1024, 16);
@@ -137,7 +138,7 @@ fn correct(c: &mut Criterion) {
     };
     group.bench_function("arrived_one_core", |b| b.iter(|| one.install(&mut arrived)));
     group.bench_function("arrived", |b| b.iter(&mut arrived));
-    // What memory gives: four bytes read and four written for each pixel, in the same pieces.
+    // Memory bandwidth: four bytes read and four written per pixel, in the same pieces.
     let source = vec![1.5f32; frame.len()];
     group.bench_function("copy_4_bytes", |b| {
         b.iter(|| {

@@ -1,4 +1,4 @@
-//! The bench: what lights the card, what closes the shutter, and who moves both.
+//! Bench: light on the card, shutter, and the control of both.
 //!
 //! Three backends: the simulated bench, a camera's GenICam features, and an operator at the terminal.
 
@@ -11,11 +11,11 @@ use radcam_sim::Scene;
 use std::io::{BufRead, Write};
 use std::time::Duration;
 
-/// Why the bench is not as it should be.
+/// Reason why the bench did not reach the requested state.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BenchError {
-    /// A feature of the camera refused.
+    /// A feature of the camera reported an error.
     #[error("bench: {0}")]
     Camera(#[from] CameraError),
     /// The operator cannot be asked or gave up.
@@ -23,27 +23,27 @@ pub enum BenchError {
     Operator(String),
 }
 
-/// A bench that can be told how to stand.
+/// Bench that can be set to a state.
 pub trait Illuminator {
-    /// Brings the bench into a state and returns the one it then has: a lamp may have steps. `camera` is for benches
-    /// that hang on it.
+    /// Sets the bench to a state and returns the state reached, which may differ: a lamp may have steps.
+    /// `camera` is for benches that are controlled through it.
     ///
     /// # Errors
     ///
-    /// Where a feature of the camera refuses, or the operator gives up.
+    /// A feature of the camera refuses, or the operator gives up.
     fn apply(&mut self, state: &BenchState, camera: &mut dyn Camera) -> Result<BenchState, BenchError>;
 
-    /// What is known of the light, for `dataset.toml`.
+    /// Returns the known properties of the light, for `dataset.toml`.
     fn info(&self) -> Option<BenchInfo>;
 
-    /// Whether it moves by itself; else the operator is asked to.
+    /// Returns true if the bench moves by itself; otherwise the operator is asked to move it.
     fn moves_itself(&self) -> bool {
         true
     }
 }
 
-/// The bench that belongs to a camera: the simulated one before a simulated camera, the GenICam features that the plan names, those of a
-/// served camera, or else an operator, who is asked at the terminal.
+/// Returns the bench of a camera: the simulated bench of a simulated camera, the GenICam features that the
+/// plan names, those of a served camera, or else an operator, who is asked at the terminal.
 ///
 /// ```
 /// use radcam::{bench, camera, plan::Plan};
@@ -56,7 +56,7 @@ pub fn of(camera: &mut dyn Camera, plan: &Plan) -> Box<dyn Illuminator> {
     of_or(camera, plan, || Box::new(ManualBench::new(std::io::stdin().lock(), std::io::stderr())))
 }
 
-/// The same with another operator than the one at the terminal.
+/// Returns the bench of a camera as `of` does, with another operator than the one at the terminal.
 pub fn of_or(
     camera: &mut dyn Camera,
     plan: &Plan,
@@ -120,7 +120,7 @@ impl Illuminator for GenicamBench {
     }
 }
 
-/// A manual bench: its operator is told what to do and presses Enter.
+/// Manual bench: prompts the operator, who confirms with Enter.
 pub struct ManualBench<R, W> {
     input: R,
     output: W,
@@ -128,7 +128,7 @@ pub struct ManualBench<R, W> {
 }
 
 impl<R: BufRead, W: Write> ManualBench<R, W> {
-    /// The operator reads `output` and answers on `input`.
+    /// Creates a bench whose operator reads `output` and answers on `input`.
     pub fn new(input: R, output: W) -> Self {
         Self { input, output, now: None }
     }

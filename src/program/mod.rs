@@ -1,4 +1,4 @@
-//! The program: commands and workbench. They parse, call the library and print; nothing is computed here.
+//! Commands and workbench. They parse, call the library and print; nothing is computed here.
 
 pub mod cli;
 pub mod workbench;

@@ -1,7 +1,7 @@
-//! From a camera to a verdict: a campaign, what it lacks, and the measurement that tells the closest names apart, until nothing is left to be
-//! told apart or this bench cannot.
+//! Automatic investigation: captures a campaign, searches for missing effects, and takes the measurement that
+//! separates the closest candidates. Repeats until no candidates are tied or the bench cannot separate them.
 //!
-//! Everything is one campaign in one dataset: what is measured later stands behind what was there, in the order of time.
+//! All measurements form one campaign in one dataset; later sets are appended in time order.
 
 use crate::capture::{Capture, CaptureError, PLAN_FILE};
 use crate::dataset::{Dataset, DatasetError, Folder, write_whole};
@@ -12,20 +12,20 @@ use crate::plan::Plan;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Why an investigation stopped. What was captured stays, and is gone on with.
+/// Reason why an investigation stopped. Captured data are kept; the investigation can be resumed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvestigateError {
-    /// The capture.
+    /// Capture failed.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// The dataset.
+    /// Dataset error.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// What was captured cannot be looked at.
+    /// Captured frames could not be evaluated.
     #[error(transparent)]
     Observe(#[from] ObserveError),
-    /// The list of measurements cannot be understood.
+    /// List of measurements could not be parsed.
     #[error("{0}")]
     State(String),
 }
@@ -33,16 +33,16 @@ pub enum InvestigateError {
 /// A measurement of an investigation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Measurement {
-    /// What it is for.
+    /// Purpose of the measurement.
     pub about: String,
-    /// Sets of the dataset that it made.
+    /// Range of dataset sets that the measurement produced.
     pub sets: (usize, usize),
 }
 
-/// Name of the list of measurements, beside the dataset.
+/// File name of the list of measurements, stored beside the dataset.
 pub const STATE_FILE: &str = "investigation.toml";
 
-/// Measurements beyond the first: a tie of three names takes two.
+/// Limit on measurements beyond the first. A tie of three candidates takes two.
 const MOST: usize = 3;
 
 #[derive(Default, Serialize, Deserialize)]
@@ -50,43 +50,43 @@ struct State {
     measurement: Vec<Measurement>,
 }
 
-/// What an investigation tells while it runs.
+/// Progress events of an investigation.
 #[derive(Debug)]
 pub enum Event<'a> {
     /// A measurement begins.
     Begins {
-        /// What it is for.
+        /// Purpose of the measurement.
         about: &'a str,
-        /// Frames.
+        /// Number of frames.
         frames: u64,
-        /// Sets.
+        /// Number of sets.
         sets: usize,
-        /// About how long it takes, s.
+        /// Estimated duration, s.
         seconds: f64,
         /// Exposure that counts as 1, s.
         full_exposure_s: Option<f64>,
     },
-    /// The campaign so far was judged.
+    /// The campaign so far was diagnosed.
     Judged(&'a Diagnosis),
 }
 
-/// What came of it.
+/// Result of an investigation.
 #[derive(Debug)]
 pub struct Found {
-    /// The verdict over everything that was measured.
+    /// Diagnosis of all measurements.
     pub diagnosis: Diagnosis,
-    /// Every measurement, the first one included.
+    /// All measurements, including the first.
     pub measurements: Vec<Measurement>,
-    /// What this bench cannot decide, and why.
+    /// Question that this bench cannot decide, with the reason.
     pub undecided: Option<String>,
 }
 
-/// Captures a plan into `root`, which is new or an investigation that was interrupted, and measures on until the verdict is clear. `known` are
-/// effects that the camera is known to have.
+/// Captures a plan into `root` and takes further measurements until the verdict is clear. `root` is new or
+/// holds an interrupted investigation. `known` are effects that the camera is known to have.
 ///
 /// # Errors
 ///
-/// What stopped the capture, or what cannot be read. What was captured stays, and the same call goes on with it.
+/// The capture failed, or data cannot be read. Captured data are kept; the same call resumes.
 pub fn investigate(
     capture: &mut Capture<'_>,
     plan: &Plan,
@@ -156,7 +156,7 @@ pub fn investigate(
                     zero_ns = summary.zero_ns;
                     None
                 }
-                // What was captured before stands.
+                // Sets captured before the bench error stay valid.
                 Err(InvestigateError::Capture(CaptureError::Bench(e))) => {
                     write_whole(&plan_path, &before)?;
                     state.measurement.pop();
@@ -173,7 +173,7 @@ pub fn investigate(
     }
 }
 
-/// The exposures of a further plan in seconds, by the full exposure of the campaign.
+/// Converts the exposures of a further plan to seconds, from the full exposure of the campaign.
 fn absolute(plan: &Plan, dataset: &Path) -> Result<Plan, InvestigateError> {
     let path = dataset.join(PLAN_FILE);
     let text = crate::input::settings(&path).map_err(DatasetError::io(&path))?;

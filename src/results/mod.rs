@@ -1,8 +1,8 @@
-//! Results for people: sources of any kind, studies over light and exposure, reports.
+//! Results for users: data sources, studies over light and exposure, reports.
 //!
-//! In: a dataset folder, statistics of parts of a campaign ([`reduction`]), an EMVA 1288 descriptor or a table, opened
-//! by [`source`]. Out: noise, diagnosis and report of it; [`investigate`] goes from a camera to a verdict by itself.
-//! Begin with [`source::Source`].
+//! Input: a dataset folder, statistics of parts of a campaign ([`reduction`]), an EMVA 1288 descriptor or a
+//! table, opened by [`source`]. Output: noise, diagnosis and report. [`investigate`] goes from a camera to a
+//! verdict automatically. Begin with [`source::Source`].
 
 pub mod investigate;
 pub mod reduction;

@@ -1,14 +1,15 @@
-//! Statistics of a campaign, or of a part of it, in a file: all that `noise`, `compare` and `diagnose` need of
-//! its frames.
+//! Statistics of a campaign, or of a part of it, in a file: everything that `noise`, `compare` and `diagnose`
+//! need from its frames.
 //!
-//! A campaign is read in pieces of successive frames of a set, and each is reduced by itself. Beside its frames
-//! a piece depends on what a first look at every set of the campaign says: which pixels count, the level of the
-//! darks, how frames usually scatter. A digest of that stands with the piece. Where parts come together, pieces
-//! that were read under the look of the whole are taken as they are, and the others are read again from their
-//! frames. So however a campaign is split, its statistics are those of the whole, bit for bit.
+//! A campaign is read in pieces of successive frames of a set; each piece is reduced independently. A piece
+//! depends on its frames and on the first look at every set of the campaign: the valid pixels, the level of
+//! the darks, the usual scatter of the frames. A digest of that first look is stored with the piece. When
+//! parts are merged, pieces reduced under the first look of the whole campaign are taken unchanged; all
+//! others are recomputed from their frames. The statistics of a split campaign therefore equal those of the
+//! whole, bit for bit.
 //!
-//! Nothing needs to be read again where all parts know the look of the whole ([`Options::plan`]): two rounds, of
-//! which the first reads at most eight frames of a set.
+//! No frames are read again if all parts know the first look of the whole campaign ([`Options::plan`]). This
+//! takes two rounds; the first reads at most eight frames of a set.
 //!
 //! The file is a line `radcam statistics 1`, a CBOR item (RFC 8949) and the SHA-256 of both.
 
@@ -26,26 +27,25 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-/// Bytes of a SHA-256.
+/// Length of a SHA-256 digest, bytes.
 const DIGEST: usize = 32;
-/// Pixels that a file may claim for each of its bytes: statistics of the smallest set take more than a byte for
-/// 64 pixels.
+/// Maximum pixels per byte of a file. Statistics of the smallest set take more than a byte for 64 pixels.
 const PIXELS_PER_BYTE: usize = 64;
 
-/// Statistics of a piece, and what was left out of it.
+/// Statistics of a piece, and the data left out of it.
 type Piece = (Work, LeftOut);
 
-/// How parts are reduced.
+/// Options of the reduction.
 #[derive(Debug, Default)]
 pub struct Options {
-    /// The first look at the whole campaign: what [`Options::look_only`] gave of all its parts. Sets of which a
-    /// part has all frames are reduced as parts of that campaign.
+    /// First look at the whole campaign: the result of [`Options::look_only`] for all its parts. Sets of
+    /// which a part has all frames are reduced as parts of that campaign.
     pub plan: Option<Dataset>,
-    /// Only the first look, which a plan is made of.
+    /// Computes only the first look, from which a plan is made.
     pub look_only: bool,
 }
 
-/// Reduces parts of one campaign, datasets or statistics, to the statistics of all of them.
+/// Reduces parts of one campaign (datasets or statistics) to the statistics of all of them.
 ///
 /// ```
 /// # let folder = tempfile::tempdir()?;
@@ -67,7 +67,7 @@ pub struct Options {
 ///
 /// # Errors
 ///
-/// Parts that are not of one campaign, a frame that cannot be read, and that it was stopped.
+/// The parts do not belong to one campaign, a frame cannot be read, or the call was stopped.
 pub fn reduce(
     parts: Vec<Dataset>,
     options: &Options,
@@ -91,8 +91,8 @@ pub fn reduce(
     Ok(part.with_reduced(reduced))
 }
 
-/// A frame of parts that were reduced already is read only where they did not know each other: says so where it
-/// is gone.
+/// Explains a missing frame of a part that was already reduced. Such frames are read again only if the parts
+/// were reduced without knowing each other.
 fn read_again(part: &Dataset, error: ObserveError) -> ObserveError {
     match error {
         ObserveError::Dataset(DatasetError::Frame { file, set, index, message })
@@ -108,7 +108,7 @@ fn read_again(part: &Dataset, error: ObserveError) -> ObserveError {
     }
 }
 
-/// Computes the statistics for the checks of the data, of the wanted sets.
+/// Computes the statistics for the data checks, for the wanted sets.
 fn kept_facts(
     dataset: &Dataset,
     wanted: &(dyn Fn(&Set) -> bool + Sync),
@@ -119,7 +119,7 @@ fn kept_facts(
     Ok(sets.map(|(set, facts)| (Key::first(dataset, set, usize::MAX), facts)).collect())
 }
 
-/// The dataset with them, so that nothing is read again.
+/// Adds the facts to the dataset, so that no frame is read again.
 fn with_facts(dataset: &Dataset, facts: &Reduced) -> Dataset {
     let mut reduced = dataset.reduced().cloned().unwrap_or_default();
     reduced.extend(facts);
@@ -136,7 +136,7 @@ fn of_sets(
     let dataset = &examined(&with_facts(dataset, &facts), stop)?;
     let mut out = record(dataset, wanted, stop, progress)?;
     out.extend(&facts);
-    // What was looked at needs no second look.
+    // Reuse the first looks; do not read these frames again.
     let mut known = dataset.reduced().cloned().unwrap_or_default();
     known.extend(&out.all::<Look>().into_iter().collect());
     let dataset = &dataset.clone().with_reduced(known);
@@ -153,7 +153,8 @@ fn of_sets(
     Ok(out)
 }
 
-/// The whole campaign of a plan with the files of a part, and the sets of which the part has every frame.
+/// Combines the whole campaign of a plan with the files of a part. Also returns the sets of which the part
+/// has every frame.
 fn planned(plan: &Dataset, part: &Dataset) -> Result<(Dataset, BTreeSet<u32>), ObserveError> {
     let differs = plan.manifest().differences(part.manifest());
     if !differs.is_empty() {
@@ -189,8 +190,8 @@ fn planned(plan: &Dataset, part: &Dataset) -> Result<(Dataset, BTreeSet<u32>), O
     Ok((whole, complete.collect()))
 }
 
-/// Parts of one campaign as one dataset: in the order of their time where every frame has one, of their sets
-/// otherwise.
+/// Joins parts of one campaign into one dataset, ordered by time if every frame has a timestamp, otherwise by
+/// set.
 fn gather(parts: Vec<Dataset>) -> Result<Dataset, DatasetError> {
     let Some(first) = parts.first() else {
         return Err(DatasetError::Manifest { path: "parts".into(), message: "none is given".into() });
@@ -239,7 +240,7 @@ fn gather(parts: Vec<Dataset>) -> Result<Dataset, DatasetError> {
     Ok(Dataset::of_parts(&root, manifest, rows, folders)?.with_reduced(reduced))
 }
 
-/// What the file holds.
+/// File contents.
 #[derive(Serialize, Deserialize)]
 struct Stored {
     manifest: String,
@@ -251,11 +252,11 @@ struct Stored {
     facts: Vec<(Key, SetFacts)>,
 }
 
-/// Writes what [`reduce`] gave.
+/// Writes the result of [`reduce`].
 ///
 /// # Errors
 ///
-/// Where the file cannot be written.
+/// The file cannot be written.
 pub fn write(reduced: &Dataset, path: &Path) -> Result<(), DatasetError> {
     let fault = |message: String| DatasetError::Manifest { path: path.into(), message };
     let nothing = Reduced::default();
@@ -276,11 +277,11 @@ pub fn write(reduced: &Dataset, path: &Path) -> Result<(), DatasetError> {
     write_whole(path, &bytes)
 }
 
-/// Opens a dataset, or a file of statistics as the dataset that they are of.
+/// Opens a dataset, or a file of statistics as the dataset it was made from.
 ///
 /// # Errors
 ///
-/// Where it cannot be read, is damaged, or holds what cannot be.
+/// The file cannot be read, is damaged, or has invalid contents.
 pub fn open(path: &Path) -> Result<Dataset, DatasetError> {
     if !path.is_file() || !is_statistics(path) {
         return Dataset::open(path);
@@ -289,7 +290,7 @@ pub fn open(path: &Path) -> Result<Dataset, DatasetError> {
     from_bytes(&bytes, path)
 }
 
-/// The same from bytes; `path` stands in errors.
+/// Opens a file of statistics from bytes. `path` is used in error messages.
 ///
 /// # Errors
 ///
@@ -307,7 +308,7 @@ pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Dataset, DatasetError> {
     from_cbor(&inside[HEAD.len()..], path)
 }
 
-/// The same from the CBOR item alone.
+/// Opens the CBOR item of a file of statistics. `path` is used in error messages.
 ///
 /// # Errors
 ///

@@ -1,4 +1,4 @@
-//! What is measured, from wherever it comes: datasets, EMVA 1288 descriptors, tables.
+//! Sources of measurements: datasets, EMVA 1288 descriptors, tables.
 
 use crate::data_faults::{DataFault, ExamineError, examined};
 use crate::dataset::table::Table;
@@ -11,7 +11,7 @@ use crate::reduction;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-/// Frames, or what someone kept of them.
+/// Frames, or statistics of frames.
 ///
 /// ```
 /// # let folder = tempfile::tempdir()?;
@@ -36,7 +36,7 @@ impl Source {
     ///
     /// # Errors
     ///
-    /// What is not there or cannot be read, with file and line.
+    /// The path does not exist or cannot be read; the message gives file and line.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, DatasetError> {
         let path = path.as_ref();
         if path.is_file() && Table::is_table(path) {
@@ -45,12 +45,12 @@ impl Source {
         Ok(Self::Frames(Box::new(reduction::open(path)?)))
     }
 
-    /// Opens several datasets of one camera under one set of settings as one ([`Dataset::join`]); a table stands
-    /// alone.
+    /// Opens several datasets of one camera and one set of settings as one ([`Dataset::join`]). A table must
+    /// be alone.
     ///
     /// # Errors
     ///
-    /// As [`open`](Self::open), and where two datasets differ in camera or settings, or one is a table.
+    /// As [`open`](Self::open); also if two datasets differ in camera or settings, or one is a table.
     pub fn open_all(paths: &[PathBuf]) -> Result<Self, DatasetError> {
         if let [path] = paths {
             return Self::open(path);
@@ -63,11 +63,11 @@ impl Source {
         Ok(Self::Frames(Box::new(Dataset::join(all)?)))
     }
 
-    /// One colour of a mosaic ([`Dataset::plane`]).
+    /// Selects one colour of a mosaic ([`Dataset::plane`]).
     ///
     /// # Errors
     ///
-    /// Where it is one plane already, or statistics whose frames are not read again.
+    /// The source is a single plane already, or consists of statistics whose frames are not read again.
     pub fn plane(self, plane: [u8; 2]) -> Result<Self, DatasetError> {
         match self {
             Self::Frames(dataset) => Ok(Self::Frames(Box::new(dataset.plane(plane)?))),
@@ -78,11 +78,11 @@ impl Source {
         }
     }
 
-    /// Removes faulty sets and frames ([`examined`]); `stop` ends it. Tables are returned unchanged.
+    /// Removes faulty sets and frames ([`examined`]). `stop` cancels. Tables are returned unchanged.
     ///
     /// # Errors
     ///
-    /// That it is a colour mosaic, which frame cannot be read, or that it was stopped.
+    /// The source is a colour mosaic, a frame cannot be read, or the call was stopped.
     pub fn examined(self, stop: &AtomicBool) -> Result<Self, ExamineError> {
         Ok(match self {
             Self::Frames(dataset) => {
@@ -93,7 +93,7 @@ impl Source {
         })
     }
 
-    /// Faults of the data; empty before [`Source::examined`].
+    /// Returns the data faults; empty before [`Source::examined`].
     pub fn data_faults(&self) -> &[DataFault] {
         match self {
             Self::Frames(dataset) => dataset.data_faults(),
@@ -101,20 +101,20 @@ impl Source {
         }
     }
 
-    /// Gain and constant noise (Section IV of the paper).
+    /// Estimates gain and constant noise (Section IV of the paper).
     ///
     /// # Errors
     ///
-    /// Where there is too little for a line, or a frame cannot be read.
+    /// The data are too few for a line, or a frame cannot be read.
     pub fn noise(&self) -> Result<NoiseReport, NoiseError> {
         self.noise_with(&AtomicBool::new(false), &mut |_, _| {})
     }
 
-    /// The same; `stop` ends it, and `progress` is told (sets done, sets).
+    /// Like [`noise`](Self::noise), with cancellation by `stop`; `progress` receives (sets done, sets).
     ///
     /// # Errors
     ///
-    /// As [`noise`](Self::noise), and where it was stopped.
+    /// As [`noise`](Self::noise); also if the call was stopped.
     pub fn noise_with(
         &self,
         stop: &AtomicBool,
@@ -130,20 +130,21 @@ impl Source {
         }
     }
 
-    /// Everything that a model is compared with.
+    /// Computes all observables that a model is compared with.
     ///
     /// # Errors
     ///
-    /// Where there is nothing to compare, or a frame cannot be read.
+    /// There is nothing to compare, or a frame cannot be read.
     pub fn observations(&self) -> Result<Observations, ObserveError> {
         self.observations_with(&AtomicBool::new(false), &mut |_, _| {})
     }
 
-    /// The same; `stop` ends it, and `progress` is told (pieces done, pieces).
+    /// Like [`observations`](Self::observations), with cancellation by `stop`; `progress` receives (pieces
+    /// done, pieces).
     ///
     /// # Errors
     ///
-    /// As [`observations`](Self::observations), and where it was stopped.
+    /// As [`observations`](Self::observations); also if the call was stopped.
     pub fn observations_with(
         &self,
         stop: &AtomicBool,
@@ -172,8 +173,8 @@ impl Source {
         Ok(all)
     }
 
-    /// Which effects are missing from the paper's model with the effects `known` added, each with its values or
-    /// none to be fitted.
+    /// Searches for effects missing from the paper's model plus the effects `known`. A known effect has given
+    /// values, or is fitted if it has none.
     ///
     /// # Errors
     ///

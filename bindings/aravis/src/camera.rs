@@ -12,14 +12,14 @@ use std::ffi::{CStr, c_char};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A device on the network or on USB.
+/// Device on the network or on USB.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DeviceInfo {
-    /// What Aravis calls it.
+    /// Id given by Aravis.
     pub id: String,
     /// IP address or USB path.
     pub address: String,
-    /// Maker.
+    /// Manufacturer.
     pub vendor: String,
     /// Model name.
     pub model: String,
@@ -39,7 +39,7 @@ fn text(pointer: *const c_char) -> String {
     unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned()
 }
 
-/// What a call of libaravis that tells success and an error came to.
+/// Converts the success flag and the error of a libaravis call into a result.
 fn done(success: i32, error: *mut aravis::glib::ffi::GError, what: &str) -> Result<(), Error> {
     if success != 0 {
         return Ok(());
@@ -52,9 +52,9 @@ fn done(success: i32, error: *mut aravis::glib::ffi::GError, what: &str) -> Resu
     Err(Error::new(what, error.message()))
 }
 
-/// Asks every network and USB for cameras. Takes about a second.
+/// Lists the cameras on all networks and USB. Takes about a second.
 pub fn devices() -> Vec<DeviceInfo> {
-    // The list belongs to the library: one look at it at a time.
+    // The library owns the device list: only one thread may use it at a time.
     static LIST: std::sync::Mutex<()> = std::sync::Mutex::new(());
     let _one = LIST.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let _only = socket::opening();
@@ -87,33 +87,33 @@ pub fn devices() -> Vec<DeviceInfo> {
     (0..count).map(info).collect()
 }
 
-/// How a feature's value is written.
+/// Type of a feature's value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FeatureKind {
-    /// True or false.
+    /// Boolean.
     Boolean,
-    /// One of some names.
+    /// One of several names.
     Enumeration,
-    /// Whole number.
+    /// Integer.
     Integer,
-    /// Number.
+    /// Floating-point number.
     Float,
     /// Text.
     Text,
 }
 
-/// A feature of the camera's description.
+/// Feature of the camera's description.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Feature {
     /// GenICam name.
     pub name: String,
-    /// How its value is written.
+    /// Type of its value.
     pub kind: FeatureKind,
-    /// Features whose values are those of one of its entries.
+    /// Features selected by this one (selector).
     pub selected: Vec<String>,
 }
 
-/// A node of the description as a feature; `None` where it has no value.
+/// Describes a node as a feature; `None` if it has no value.
 fn described(name: String, node: &aravis::GcNode) -> Option<Feature> {
     let kind = if node.is::<aravis::GcBoolean>() {
         FeatureKind::Boolean
@@ -134,7 +134,7 @@ fn described(name: String, node: &aravis::GcNode) -> Option<Feature> {
     Some(Feature { name, kind, selected })
 }
 
-/// Reads so many bytes of a camera's memory.
+/// Reads `size` bytes of a camera's memory.
 pub(crate) fn memory(camera: &aravis::Camera, address: u64, size: u32) -> Result<Vec<u8>, Error> {
     let what = format!("memory at {address:#x}");
     let device = camera.device().ok_or_else(|| Error::new(&what, "no device"))?;
@@ -154,7 +154,7 @@ pub(crate) fn memory(camera: &aravis::Camera, address: u64, size: u32) -> Result
     done(read, error, &what).map(|()| bytes)
 }
 
-/// Closes the control socket, the one that is new, to all but the camera: answers of others could be taken
+/// Limits the control socket (the new one) to packets from the camera: answers of other hosts could be taken
 /// for its own, or make libaravis wait for weeks.
 fn hear_only(camera: &aravis::Camera, before: &BTreeSet<OpenSocket>) {
     let Some(address) = crate::stream::address_of(camera) else { return };
@@ -179,12 +179,12 @@ pub struct Camera {
 impl Camera {
     /// Opens a camera by IP address, or by the id that [`devices`] gives.
     ///
-    /// By address is safer on a machine with several interfaces: opened by name, Aravis may listen for frames on
-    /// another one.
+    /// On a machine with several interfaces the address is safer: opened by name, Aravis may listen for
+    /// frames on another interface.
     ///
     /// # Errors
     ///
-    /// What Aravis says where no camera answers by that name.
+    /// Aravis reports an error: no camera answers by that name.
     pub fn open(name: &str) -> Result<Self, Error> {
         let inner = {
             let _only = socket::opening();
@@ -193,25 +193,25 @@ impl Camera {
             hear_only(&inner, &before);
             inner
         };
-        // Both are off by default: gain 99 of at most 24 would be accepted.
+        // Both checks are off by default: gain 99 of at most 24 would be accepted.
         inner.set_range_check_policy(RangeCheckPolicy::Enable);
         inner.set_access_check_policy(AccessCheckPolicy::Enable);
         let lost = Arc::new(AtomicBool::new(false));
         if let Some(device) = inner.device() {
             let flag = Arc::clone(&lost);
-            // Runs on the heartbeat's thread; dropping the last handle of the camera there would abort.
+            // Runs on the heartbeat thread: dropping the last handle of the camera there would abort.
             device.connect_control_lost(move |_| flag.store(true, Ordering::Release));
         }
         Ok(Self { inner, lost })
     }
 
-    /// Whether the heartbeat has failed.
+    /// Returns true if the heartbeat has failed.
     pub fn is_lost(&self) -> bool {
         self.lost.load(Ordering::Acquire)
     }
 
-    /// Whether a GigE Vision camera sends lost packets again when it is asked to (GVCP capability register,
-    /// GigE Vision 2.0, 28.4).
+    /// Returns true if a GigE Vision camera supports packet resend (GVCP capability register, GigE Vision
+    /// 2.0, 28.4).
     pub fn resends(&self) -> bool {
         const GVCP_CAPABILITY: u64 = 0x934;
         const PACKET_RESEND: u8 = 1 << 2;
@@ -219,18 +219,18 @@ impl Camera {
             && self.memory(GVCP_CAPABILITY, 4).is_ok_and(|b| b.last().is_some_and(|b| b & PACKET_RESEND != 0))
     }
 
-    /// Whether this process may write to the camera. GigE Vision gives control to one client at a time;
-    /// others may look.
+    /// Returns true if this process may write to the camera. GigE Vision gives control to one client at a
+    /// time; others may only read.
     pub fn has_control(&self) -> bool {
         let device = self.inner.device().and_then(|d| d.downcast::<aravis::GvDevice>().ok());
         device.is_none_or(|d| d.is_controller())
     }
 
-    /// (vendor, model, serial number).
+    /// Returns (vendor, model, serial number).
     ///
     /// # Errors
     ///
-    /// What Aravis says where the camera does not answer.
+    /// Aravis reports an error: the camera does not answer.
     pub fn identity(&self) -> Result<(String, String, String), Error> {
         let vendor = self.inner.vendor_name().named("DeviceVendorName")?;
         let model = self.inner.model_name().named("DeviceModelName")?;
@@ -238,21 +238,21 @@ impl Camera {
         Ok((vendor.into(), model.into(), serial))
     }
 
-    /// Whether it is a GigE Vision camera.
+    /// Returns true for a GigE Vision camera.
     pub fn is_gigevision(&self) -> bool {
         self.inner.is_gv_device()
     }
 
-    /// Ends an acquisition, whoever started it.
+    /// Stops the acquisition, also one started by another client.
     ///
     /// # Errors
     ///
-    /// What the camera refuses.
+    /// The camera refuses.
     pub fn stop_acquisition(&self) -> Result<(), Error> {
         self.inner.stop_acquisition().named("AcquisitionStop")
     }
 
-    /// Every feature of the description's categories that has a value, whether it can be used now or not.
+    /// Returns every feature with a value in the description's categories, available now or not.
     pub fn features(&self) -> Vec<Feature> {
         let Some(description) = self.inner.device().and_then(|d| d.genicam()) else { return Vec::new() };
         let mut out: Vec<Feature> = Vec::new();
@@ -274,23 +274,24 @@ impl Camera {
         out
     }
 
-    /// A feature by its name, wherever the description has it; `None` where there is none with a value.
+    /// Returns a feature by its name, in a category or not; `None` if no feature of that name has a value.
     pub fn feature(&self, name: &str) -> Option<Feature> {
         let node = self.inner.device()?.genicam()?.node(name)?;
         described(name.into(), &node)
     }
 
-    /// The camera's description file.
+    /// Returns the camera's description file.
     pub fn description(&self) -> Option<String> {
         let (text, _) = self.inner.device()?.genicam_xml();
         Some(text.into())
     }
 
-    /// Reads so many bytes of the camera's memory: bootstrap registers at 0 (GigE Vision 2.0, chapter 28).
+    /// Reads `size` bytes of the camera's memory. Bootstrap registers start at 0 (GigE Vision 2.0, chapter
+    /// 28).
     ///
     /// # Errors
     ///
-    /// What Aravis says where the camera does not let that memory be read.
+    /// Aravis reports an error: the memory is not readable.
     pub fn memory(&self, address: u64, size: u32) -> Result<Vec<u8>, Error> {
         memory(&self.inner, address, size)
     }
@@ -299,7 +300,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says where the camera does not let that memory be written.
+    /// Aravis reports an error: the memory is not writable.
     pub fn set_memory(&self, address: u64, bytes: &[u8]) -> Result<(), Error> {
         let what = format!("memory at {address:#x}");
         let device = self.inner.device().ok_or_else(|| Error::new(&what, "no device"))?;
@@ -319,11 +320,11 @@ impl Camera {
         done(written, error, &what)
     }
 
-    /// Address and length in bytes of a feature that is a register.
+    /// Returns address and length in bytes of a register feature.
     ///
     /// # Errors
     ///
-    /// Where there is no such feature, or it is no register.
+    /// There is no such feature, or it is not a register.
     pub fn register(&self, feature: &str) -> Result<(u64, u64), Error> {
         let node = self.inner.device().and_then(|d| d.feature(feature));
         let node = node.ok_or_else(|| Error::new(feature, "not found"))?;
@@ -333,8 +334,8 @@ impl Camera {
         Ok((register.address().named(feature)?, register.length().named(feature)?))
     }
 
-    /// Whether a command that was executed is done: its register no longer holds what was written (GenApi,
-    /// IsDone). One whose register cannot be read counts as done.
+    /// Returns true once an executed command is done: its register no longer holds the written value (GenApi,
+    /// IsDone). A command with an unreadable register counts as done.
     pub fn is_done(&self, command: &str) -> bool {
         let node = self.inner.device().and_then(|d| d.feature(command));
         let mut child = node.and_then(|n| n.first_child());
@@ -345,7 +346,7 @@ impl Camera {
                     aravis::GcPropertyNodeType::CommandValue => {
                         written = property.int64().unwrap_or(written);
                     }
-                    // Its number is that of the register behind it.
+                    // Its value is that of the register behind it.
                     aravis::GcPropertyNodeType::PValue => now = property.int64().ok(),
                     _ => {}
                 }
@@ -355,7 +356,7 @@ impl Camera {
         now.is_none_or(|now| now != written)
     }
 
-    /// Whether there is such a feature and it can be used now.
+    /// Returns true if the feature exists and is available now.
     pub fn has(&self, feature: &str) -> bool {
         self.inner.is_feature_available(feature).unwrap_or(false)
     }
@@ -364,29 +365,27 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn float(&self, feature: &str) -> Result<f64, Error> {
         self.inner.float(feature).named(feature)
     }
 
-    /// Smallest and largest value of a float.
+    /// Returns minimum and maximum of a float.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn float_bounds(&self, feature: &str) -> Result<(f64, f64), Error> {
         self.inner.float_bounds(feature).named(feature)
     }
 
-    /// Step of a float; `None` where it has none.
+    /// Returns the increment of a float; `None` without one.
     pub fn float_increment(&self, feature: &str) -> Option<f64> {
-        // Aravis says DBL_MIN where there is none.
+        // Aravis returns DBL_MIN for a float without an increment.
         self.inner.float_increment(feature).ok().filter(|step| *step > 1e-300)
     }
 
-    /// Unit of a float feature, where the camera tells.
+    /// Returns the unit of a float feature, if the camera states it.
     pub fn unit(&self, feature: &str) -> Option<String> {
         let node = self.inner.device()?.feature(feature)?;
         node.downcast_ref::<aravis::GcFloatNode>()?.unit().map(Into::into)
@@ -396,8 +395,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_float(&self, feature: &str, value: f64) -> Result<(), Error> {
         self.inner.set_float(feature, value).named(feature)
     }
@@ -406,23 +404,21 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn integer(&self, feature: &str) -> Result<i64, Error> {
         self.inner.integer(feature).named(feature)
     }
 
-    /// Smallest and largest value of an integer.
+    /// Returns minimum and maximum of an integer.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn integer_bounds(&self, feature: &str) -> Result<(i64, i64), Error> {
         self.inner.integer_bounds(feature).named(feature)
     }
 
-    /// Step of an integer.
+    /// Returns the increment of an integer.
     pub fn integer_increment(&self, feature: &str) -> i64 {
         self.inner.integer_increment(feature).map_or(1, |step| step.max(1))
     }
@@ -431,8 +427,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_integer(&self, feature: &str, value: i64) -> Result<(), Error> {
         self.inner.set_integer(feature, value).named(feature)
     }
@@ -441,8 +436,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn boolean(&self, feature: &str) -> Result<bool, Error> {
         self.inner.boolean(feature).named(feature)
     }
@@ -451,8 +445,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_boolean(&self, feature: &str, value: bool) -> Result<(), Error> {
         self.inner.set_boolean(feature, value).named(feature)
     }
@@ -461,8 +454,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn string(&self, feature: &str) -> Result<String, Error> {
         self.inner.string(feature).map(Into::into).named(feature)
     }
@@ -471,18 +463,16 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_string(&self, feature: &str, value: &str) -> Result<(), Error> {
         self.inner.set_string(feature, value).named(feature)
     }
 
-    /// Entries of an enumeration that can be chosen now.
+    /// Returns the entries of an enumeration that are available now.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn entries(&self, feature: &str) -> Result<Vec<String>, Error> {
         let entries = self.inner.dup_available_enumerations_as_strings(feature).named(feature)?;
         Ok(entries.into_iter().map(Into::into).collect())
@@ -492,28 +482,25 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn execute(&self, feature: &str) -> Result<(), Error> {
         self.inner.execute_command(feature).named(feature)
     }
 
-    /// Exposure, s, by whatever name the maker gave it.
+    /// Reads the exposure, s, under any of the usual feature names.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn exposure_s(&self) -> Result<f64, Error> {
         self.inner.exposure_time().map(|us| us * 1e-6).named("ExposureTime")
     }
 
-    /// Shortest and longest exposure, s.
+    /// Returns minimum and maximum exposure, s.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn exposure_bounds_s(&self) -> Result<(f64, f64), Error> {
         let (min, max) = self.inner.exposure_time_bounds().named("ExposureTime")?;
         Ok((min * 1e-6, max * 1e-6))
@@ -523,28 +510,25 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_exposure_s(&self, value: f64) -> Result<(), Error> {
         self.inner.set_exposure_time(value * 1e6).named("ExposureTime")
     }
 
-    /// Gain in the camera's unit, by whatever name the maker gave it.
+    /// Reads the gain in the camera's unit, under any of the usual feature names.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn gain(&self) -> Result<f64, Error> {
         self.inner.gain().named("Gain")
     }
 
-    /// Smallest and largest gain.
+    /// Returns minimum and maximum gain.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn gain_bounds(&self) -> Result<(f64, f64), Error> {
         self.inner.gain_bounds().named("Gain")
     }
@@ -553,33 +537,30 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_gain(&self, value: f64) -> Result<(), Error> {
         self.inner.set_gain(value).named("Gain")
     }
 
-    /// Whether there is a gain.
+    /// Returns true if the camera has a gain.
     pub fn has_gain(&self) -> bool {
         self.inner.is_gain_available().unwrap_or(false)
     }
 
-    /// Frames per second.
+    /// Reads the frame rate, Hz.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn frame_rate_hz(&self) -> Result<f64, Error> {
         self.inner.frame_rate().named("AcquisitionFrameRate")
     }
 
-    /// Smallest and largest frame rate.
+    /// Returns minimum and maximum frame rate, Hz.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn frame_rate_bounds_hz(&self) -> Result<(f64, f64), Error> {
         self.inner.frame_rate_bounds().named("AcquisitionFrameRate")
     }
@@ -588,28 +569,25 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_frame_rate_hz(&self, value: f64) -> Result<(), Error> {
         self.inner.set_frame_rate(value).named("AcquisitionFrameRate")
     }
 
-    /// PFNC code of the pixel format.
+    /// Reads the PFNC code of the pixel format.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn pixel_format(&self) -> Result<u32, Error> {
         self.inner.pixel_format().map(|f| f.raw()).named("PixelFormat")
     }
 
-    /// PFNC codes of every pixel format that can be chosen now.
+    /// Returns the PFNC codes of the pixel formats available now.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn pixel_formats(&self) -> Result<Vec<u32>, Error> {
         let codes = self.inner.dup_available_pixel_formats().named("PixelFormat")?;
         Ok(codes.into_iter().filter_map(|c| u32::try_from(c).ok()).collect())
@@ -619,18 +597,16 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_pixel_format(&self, code: u32) -> Result<(), Error> {
         self.inner.set_pixel_format(aravis::PixelFormat::from_raw(code)).named("PixelFormat")
     }
 
-    /// x, y, width, height of the region, pixels.
+    /// Reads x, y, width, height of the region, pixels.
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn region(&self) -> Result<[i32; 4], Error> {
         let (x, y, w, h) = self.inner.region().named("Width")?;
         Ok([x, y, w, h])
@@ -640,8 +616,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_region(&self, [x, y, w, h]: [i32; 4]) -> Result<(), Error> {
         self.inner.set_region(x, y, w, h).named("Width")
     }
@@ -650,8 +625,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn set_software_trigger(&self) -> Result<(), Error> {
         self.inner.set_trigger("Software").named("TriggerMode")
     }
@@ -660,8 +634,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn clear_triggers(&self) -> Result<(), Error> {
         self.inner.clear_triggers().named("TriggerMode")
     }
@@ -670,8 +643,7 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says: there is no such feature, it cannot be read or written now, or the camera does not
-    /// answer.
+    /// Aravis reports an error: no such feature, not readable or writable now, or no answer from the camera.
     pub fn software_trigger(&self) -> Result<(), Error> {
         self.inner.software_trigger().named("TriggerSoftware")
     }
@@ -680,7 +652,8 @@ impl Camera {
     ///
     /// # Errors
     ///
-    /// What Aravis says where no stream can be set up, such as for lack of memory or of a route to the camera.
+    /// Aravis reports an error: no stream can be set up, for example for lack of memory or of a route to the
+    /// camera.
     pub fn stream(&mut self, setup: &StreamSetup) -> Result<Stream<'_>, Error> {
         if self.is_gigevision() {
             match setup.packet_size {
@@ -699,7 +672,7 @@ impl Camera {
         Stream::start(&self.inner, setup, Arc::clone(&self.lost))
     }
 
-    /// Bytes of a GigE Vision packet.
+    /// Returns the GigE Vision packet size, bytes.
     pub fn packet_size(&self) -> Option<u32> {
         self.is_gigevision().then(|| self.inner.gv_get_packet_size().ok()).flatten()
     }

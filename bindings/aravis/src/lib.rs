@@ -1,9 +1,8 @@
-//! What radcam needs of [libaravis](https://github.com/AravisProject/aravis), and the only `unsafe` of the
-//! project.
+//! Bindings to [libaravis](https://github.com/AravisProject/aravis) for radcam, with the only `unsafe` code
+//! of the project.
 //!
-//! Cameras that speak GigE Vision or USB3 Vision ([`Camera`], [`Stream`]). What libaravis does not check of
-//! the packets that it receives is checked by filters before its sockets. A leaf: nothing here knows of
-//! frames, formats or physics.
+//! GigE Vision and USB3 Vision cameras ([`Camera`], [`Stream`]). Socket filters check the received packets
+//! where libaravis does not. This crate is a leaf: it knows nothing of frames, formats or physics.
 //!
 //! libaravis is LGPL and linked dynamically.
 
@@ -21,19 +20,19 @@ unsafe extern "C" {
     fn arv_get_micro_version() -> std::ffi::c_uint;
 }
 
-/// Version of the libaravis that runs: major, minor, micro.
+/// Returns the version of the loaded libaravis: major, minor, micro.
 pub fn version() -> [u32; 3] {
     // SAFETY: plain calls without arguments that return constants of the library (arvmisc.h of libaravis 0.8).
     unsafe { [arv_get_major_version(), arv_get_minor_version(), arv_get_micro_version()] }
 }
 
-/// What libaravis refused.
+/// Error reported by libaravis.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what}: {message}")]
 pub struct Error {
     /// Feature or action.
     pub what: String,
-    /// Its own words.
+    /// Message of libaravis.
     pub message: String,
 }
 
@@ -43,7 +42,7 @@ impl Error {
     }
 }
 
-/// Adds the feature's name to a refusal.
+/// Adds the feature's name to an error.
 trait Named<T> {
     fn named(self, what: &str) -> Result<T, Error>;
 }

@@ -1,8 +1,7 @@
-//! Sockets that libaravis opens, and filters in the kernel that keep from it what it does not check.
+//! Sockets of libaravis, and kernel filters that keep unchecked packets from it.
 //!
-//! libaravis 0.8.26 looks at neither the sender nor the length of the datagrams that it receives
-//! (docs/aravis-faults.md). It does not hand out its sockets. They are found among the open files of this
-//! process: those that were not there before.
+//! libaravis 0.8.26 checks neither the sender nor the length of received datagrams (docs/aravis-faults.md),
+//! and does not expose its sockets. They are found as the new ones among the open files of this process.
 
 use crate::Error;
 use std::collections::BTreeSet;
@@ -10,21 +9,21 @@ use std::net::Ipv4Addr;
 use std::os::fd::RawFd;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Held wherever this crate lets libaravis open sockets, so that new ones belong to whoever holds it.
+/// Held wherever libaravis opens sockets, so that new sockets belong to the lock holder.
 static OPENING: Mutex<()> = Mutex::new(());
 
 pub(crate) fn opening() -> MutexGuard<'static, ()> {
     OPENING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// An open socket: its file descriptor and its inode, since descriptors are used again.
+/// Open socket: file descriptor and inode, since descriptors are reused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct OpenSocket {
     pub(crate) fd: RawFd,
     inode: u64,
 }
 
-/// UDP sockets over IPv4 of this process that are bound and not connected.
+/// Returns the bound, unconnected UDP sockets over IPv4 of this process.
 pub(crate) fn udp_sockets() -> BTreeSet<OpenSocket> {
     let entries = std::fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
     let of = |entry: std::fs::DirEntry| {
@@ -38,7 +37,7 @@ pub(crate) fn udp_sockets() -> BTreeSet<OpenSocket> {
     entries.filter_map(of).collect()
 }
 
-/// An integer option of a socket.
+/// Reads an integer option of a socket.
 pub(crate) fn option(fd: RawFd, name: libc::c_int) -> Option<libc::c_int> {
     let mut value: libc::c_int = 0;
     let mut length = LENGTH_OF_INT;
@@ -60,7 +59,7 @@ fn set_option(fd: RawFd, name: libc::c_int, value: libc::c_int) -> bool {
     set == 0
 }
 
-/// The port to which an IPv4 socket is bound.
+/// Returns the port to which an IPv4 socket is bound.
 pub(crate) fn port(fd: RawFd) -> Option<u16> {
     // SAFETY: an address of zeros is a valid value of this plain structure.
     let mut address: libc::sockaddr_in = unsafe { std::mem::zeroed() };
@@ -72,18 +71,18 @@ pub(crate) fn port(fd: RawFd) -> Option<u16> {
         .then(|| u16::from_be(address.sin_port))
 }
 
-/// Gives a socket a receive buffer of so many bytes, beyond the system's limit where this process may, and
-/// tells what it has.
+/// Sets the receive buffer of a socket, bytes, beyond the system limit if this process may, and returns the
+/// granted size.
 pub(crate) fn set_receive_buffer(fd: RawFd, bytes: usize) -> usize {
     let wanted = libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX);
     if !set_option(fd, libc::SO_RCVBUFFORCE, wanted) {
         set_option(fd, libc::SO_RCVBUF, wanted);
     }
-    // The kernel doubles what is asked for, and says the double.
+    // The kernel doubles the requested size and reports the double.
     option(fd, libc::SO_RCVBUF).and_then(|n| usize::try_from(n / 2).ok()).unwrap_or(0)
 }
 
-/// Throws away what a socket has received.
+/// Discards what a socket has received.
 pub(crate) fn drain(fd: RawFd) {
     let mut byte = 0u8;
     loop {
@@ -97,13 +96,13 @@ pub(crate) fn drain(fd: RawFd) {
 
 /// Offset at which a filter finds the IP header of a packet (linux/filter.h, SKF_NET_OFF).
 const IP: u32 = 0xfff0_0000;
-/// A filter of an UDP socket sees the datagram from its UDP header on.
+/// Length of the UDP header: the filter of a UDP socket sees the datagram from there on.
 const UDP: u32 = 8;
 const GVCP_PORT: u32 = 3956;
 /// Bytes of a GVCP header.
 const GVCP_HEADER: u32 = 8;
 
-/// The code of a BPF instruction, of 8 bits.
+/// Returns the 8-bit code of a BPF instruction.
 #[expect(clippy::cast_possible_truncation, reason = "8 bits")]
 const fn instruction(code: u32) -> u16 {
     code as u16
@@ -131,7 +130,7 @@ enum To {
     Label(usize),
 }
 
-/// A classic BPF program under construction; jumps go forward only.
+/// Classic BPF program under construction; jumps go forward only.
 #[derive(Debug, Default)]
 struct Program {
     code: Vec<(u16, u32, To, To)>,
@@ -147,12 +146,12 @@ impl Program {
         self.code.push((code, value, yes, no));
     }
 
-    /// Drops packets whose accumulator is not this.
+    /// Drops packets whose accumulator differs from this value.
     fn only(&mut self, value: u32) {
         self.jump(EQUAL, value, To::Next, To::Drop);
     }
 
-    /// Drops packets whose accumulator lies outside of these bounds.
+    /// Drops packets whose accumulator is outside these bounds.
     fn between(&mut self, min: u32, max: u32) {
         self.jump(AT_LEAST, min, To::Next, To::Drop);
         self.jump(ABOVE, max, To::Drop, To::Next);
@@ -167,7 +166,7 @@ impl Program {
         self.labels[label] = self.code.len();
     }
 
-    /// The program, with its two ends behind it.
+    /// Returns the program, with the accept and drop instructions at its end.
     fn build(mut self) -> Result<Vec<libc::sock_filter>, Error> {
         let (accept, drop) = (self.code.len(), self.code.len() + 1);
         self.step(RETURN, u32::MAX);
@@ -188,15 +187,15 @@ impl Program {
     }
 }
 
-/// A filter that lets nothing through.
+/// Builds a filter that drops every packet.
 pub(crate) fn nothing() -> Result<Vec<libc::sock_filter>, Error> {
     let mut program = Program::default();
     program.jump(EQUAL, 0, To::Drop, To::Drop);
     program.build()
 }
 
-/// Answers of a camera to control requests: from its address and its control port, of the length that their
-/// header states.
+/// Builds a filter for a camera's answers to control requests: from its address and control port, and not
+/// longer than the length field allows.
 pub(crate) fn answers_of(camera: Ipv4Addr) -> Result<Vec<libc::sock_filter>, Error> {
     let mut p = Program::default();
     from(&mut p, camera, GVCP_PORT);
@@ -205,7 +204,7 @@ pub(crate) fn answers_of(camera: Ipv4Addr) -> Result<Vec<libc::sock_filter>, Err
     p.build()
 }
 
-/// Drops what another host or port sends.
+/// Drops packets from another host or port.
 fn from(p: &mut Program, camera: Ipv4Addr, port: u32) {
     p.step(LD_W, IP + 12);
     p.only(u32::from(camera));
@@ -215,16 +214,16 @@ fn from(p: &mut Program, camera: Ipv4Addr, port: u32) {
     }
 }
 
-/// Form of an acquisition's frames.
+/// Format of an acquisition's packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Frames {
     /// Address of the camera.
     pub(crate) camera: Ipv4Addr,
-    /// Port from which it sends; 0 where it does not tell.
+    /// Source port; 0 if unknown.
     pub(crate) port: u16,
-    /// Bytes of a packet with the headers of IP and UDP.
+    /// Packet size with IP and UDP headers, bytes.
     pub(crate) packet: u32,
-    /// Bytes of a frame.
+    /// Frame size, bytes.
     pub(crate) payload: u32,
 }
 
@@ -232,20 +231,20 @@ pub(crate) struct Frames {
 const IP_UDP: u32 = 28;
 /// Bytes of a GVSP header with 16-bit block ids, and with extended ones (GigE Vision 2.0, 24.1).
 const HEADERS: [u32; 2] = [8, 20];
-/// Scratch memory of the program.
+/// Slots of the program's scratch memory.
 const PACKET_ID: u32 = 0;
 const STATUS: u32 = 1;
 const LEADER: u32 = 1;
 const TRAILER: u32 = 2;
 const PAYLOAD: u32 = 3;
-/// Bytes of leaders behind the header: of images and of chunk data; and of the shortest trailer.
+/// Minimum sizes behind the header, bytes: leader of images, leader of chunk data, trailer.
 const IMAGE_LEADER: u32 = 36;
 const CHUNK_LEADER: u32 = 12;
 const SHORTEST_TRAILER: u32 = 4;
 
-/// Packets of a camera's frames: from its address (and port), whole headers, leaders of images, and numbers
-/// and lengths that lie within a frame of this size. libaravis relies on each: docs/aravis-faults.md has the
-/// packets with which it fails.
+/// Builds a filter for packets of a camera's frames: from its address (and port), with complete headers,
+/// leaders of images, and packet ids and lengths within a frame of this size. libaravis relies on each of
+/// these; docs/aravis-faults.md lists packets with which it fails.
 pub(crate) fn frames_of(frames: Frames) -> Result<Vec<libc::sock_filter>, Error> {
     let smallest = IP_UDP + HEADERS[1] + IMAGE_LEADER;
     if frames.packet <= smallest || frames.payload == 0 {
@@ -256,7 +255,7 @@ pub(crate) fn frames_of(frames: Frames) -> Result<Vec<libc::sock_filter>, Error>
     from(&mut p, frames.camera, frames.port.into());
     p.step(LD_LEN, 0);
     p.between(UDP + HEADERS[0], UDP + frames.packet - IP_UDP);
-    // Sent for the first time, sent again, or the answer that it cannot be sent again.
+    // Status of a first transmission, of a resend, or of the answer that a packet is unavailable.
     p.step(LD_H, UDP);
     p.step(AND, 0x8000);
     p.step(STORE, STATUS);
@@ -282,7 +281,7 @@ pub(crate) fn frames_of(frames: Frames) -> Result<Vec<libc::sock_filter>, Error>
     p.build()
 }
 
-/// Leaders, trailers and data packets behind a header of this length; everything else is dropped.
+/// Accepts leaders, trailers and data packets behind a header of this length; drops everything else.
 fn formats(p: &mut Program, frames: &Frames, header: u32) {
     let block = frames.packet - IP_UDP - header;
     let data = frames.payload.div_ceil(block);
@@ -316,8 +315,8 @@ fn formats(p: &mut Program, frames: &Frames, header: u32) {
     p.jump(AT_LEAST, UDP + header + rest, To::Accept, To::Drop);
 }
 
-/// Payload types (GigE Vision 2.0, table 24-4): 1 image, 4 chunk data, 5 chunk data with an image; bit 14
-/// says that chunks follow.
+/// Accepts leaders by payload type (GigE Vision 2.0, table 24-4): 1 image, 4 chunk data, 5 chunk data with an
+/// image; bit 14 marks chunks that follow.
 fn leader(p: &mut Program, header: u32) {
     let chunk = p.label();
     p.step(LD_LEN, 0);
@@ -332,7 +331,7 @@ fn leader(p: &mut Program, header: u32) {
     p.jump(AT_LEAST, UDP + header + IMAGE_LEADER, To::Accept, To::Drop);
 }
 
-/// Puts a filter before a socket, in place of the one that it has.
+/// Attaches a filter to a socket, replacing its present one.
 pub(crate) fn attach(fd: RawFd, program: &[libc::sock_filter]) -> Result<(), Error> {
     let fault = |e: std::io::Error| Error::new("socket filter", e);
     let len = u16::try_from(program.len()).map_err(|e| Error::new("socket filter", e))?;
@@ -347,7 +346,7 @@ pub(crate) fn attach(fd: RawFd, program: &[libc::sock_filter]) -> Result<(), Err
     if set == 0 { Ok(()) } else { Err(fault(std::io::Error::last_os_error())) }
 }
 
-/// The broadcast address of the network of an interface, named by its IPv4 address.
+/// Returns the broadcast address of the network of an interface (its IPv4 address).
 pub fn broadcast_address(interface: Ipv4Addr) -> Option<Ipv4Addr> {
     let mut list = std::ptr::null_mut();
     // SAFETY: the call fills in one pointer, to a list that is freed below.
@@ -368,7 +367,7 @@ pub fn broadcast_address(interface: Ipv4Addr) -> Option<Ipv4Addr> {
     found
 }
 
-/// An IPv4 address behind a pointer of getifaddrs.
+/// Reads an IPv4 address behind a pointer of getifaddrs.
 fn ipv4(address: *const libc::sockaddr) -> Option<Ipv4Addr> {
     // SAFETY: getifaddrs gives null or an address whose family tells its type; that of AF_INET is a sockaddr_in.
     let address = unsafe {
@@ -389,7 +388,7 @@ mod tests {
     const FRAME: Frames =
         Frames { camera: Ipv4Addr::new(127, 0, 0, 3), port: 0, packet: 1400, payload: 3000 };
 
-    /// Packets that pass, of those sent through a filter.
+    /// Returns the packets that pass a filter.
     fn passed(program: &[libc::sock_filter], sender: Ipv4Addr, packets: &[Vec<u8>]) -> Vec<Vec<u8>> {
         let receiver = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         attach(receiver.as_raw_fd(), program).unwrap();
@@ -399,7 +398,7 @@ mod tests {
         let mut out = Vec::new();
         for packet in packets {
             sender.send_to(packet, receiver.local_addr().unwrap()).unwrap();
-            // Loopback delivers while it sends.
+            // Loopback delivers synchronously.
             receiver.set_nonblocking(true).unwrap();
             if let Ok(n) = receiver.recv(&mut buffer) {
                 out.push(buffer[..n].to_vec());
@@ -433,7 +432,7 @@ mod tests {
     #[test]
     fn sound_packets_of_the_camera_pass_and_no_others() {
         let program = frames_of(FRAME).unwrap();
-        // 1364 bytes of pixels in a packet: 1364, 1364 and 272; 1352, 1352 and 296 behind extended headers.
+        // Pixel bytes of the packets: 1364, 1364 and 272; behind extended headers 1352, 1352 and 296.
         let mut error = packet(3, 2, 0);
         error[..2].copy_from_slice(&[0x80, 0x0c]);
         let mut again = packet(3, 1, 1364);

@@ -19,71 +19,71 @@ use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// How a stream is set up.
+/// Stream options.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamSetup {
-    /// Buffers for the camera to fill.
+    /// Number of frame buffers.
     pub buffers: usize,
-    /// Frames that may wait to be taken. One more, and the oldest goes back to the camera, counted in
-    /// [`StreamCounts::dropped`]. `None`: all wait, and frames that find no free buffer are lost.
+    /// Maximum number of queued frames. When full, the oldest is dropped and counted in
+    /// [`StreamCounts::dropped`]. `None`: no limit; frames are lost when no buffer is available (underruns).
     pub waiting: Option<usize>,
-    /// GigE Vision: bytes of a packet; `None` lets Aravis find the largest that passes.
+    /// GigE Vision: packet size, bytes; `None` lets Aravis find the largest that passes.
     pub packet_size: Option<u32>,
-    /// GigE Vision: whether lost packets are asked for again.
+    /// GigE Vision: requests lost packets again.
     pub packet_resend: bool,
     /// GigE Vision: time until a packet counts as lost.
     pub packet_timeout: Duration,
-    /// GigE Vision: time until an unfinished frame is given up.
+    /// GigE Vision: time until an unfinished frame is abandoned.
     pub frame_retention: Duration,
-    /// GigE Vision: receive buffer of the ordinary socket, bytes.
+    /// GigE Vision: receive buffer of the ordinary (not packet) socket, bytes.
     pub socket_buffer: usize,
 }
 
-/// What Aravis says of a frame that came out of the stream.
+/// Frame received from the stream.
 #[derive(Debug)]
 pub enum Received<'a> {
-    /// Every byte is there.
+    /// Complete frame.
     Complete {
-        /// Bytes as they came over the wire.
+        /// Bytes as received.
         bytes: &'a [u8],
         /// PFNC code.
         format: u32,
         /// x, y, width, height of the region, pixels.
         region: [i32; 4],
-        /// Number of the frame as the camera counts; 16 bits in GigE Vision, where 0 is never used.
+        /// Frame number (block id) from the camera; 16 bits in GigE Vision, where 0 is never used.
         frame_id: u64,
-        /// Device clock, ns; 0 where the camera tells no time.
+        /// Device timestamp, ns; 0 if the camera sends none.
         timestamp_ns: u64,
-        /// Time since its first packet came; `None` where the computer's clock was set since.
+        /// Time since its first packet; `None` if the host clock was set since.
         age: Option<Duration>,
     },
-    /// Something is missing; numbers in such a buffer are those of an older frame.
+    /// Incomplete frame; the metadata in its buffer are those of an older frame.
     Damaged(String),
 }
 
-/// Counts of Aravis: completed buffers, failures, underruns.
+/// Stream counters: completed buffers, failures, underruns, drops.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct StreamCounts {
-    /// Whole frames.
+    /// Complete frames.
     pub completed: u64,
     /// Damaged frames.
     pub failures: u64,
-    /// Frames for which no buffer was free.
+    /// Frames lost because no buffer was available.
     pub underruns: u64,
-    /// Whole frames that waited too long and made room for newer ones.
+    /// Complete frames dropped from a full queue.
     pub dropped: u64,
-    /// Damaged frames that made room for newer ones.
+    /// Damaged frames dropped from a full queue.
     pub dropped_damaged: u64,
 }
 
-/// Why no frame came.
+/// Reason why no frame came.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Silence {
     Timeout,
     Lost,
 }
 
-/// A running acquisition; dropping it stops the camera.
+/// Running acquisition; dropping it stops the camera.
 #[derive(Debug)]
 pub struct Stream<'a> {
     camera: &'a aravis::Camera,
@@ -92,28 +92,28 @@ pub struct Stream<'a> {
     payload: usize,
     receive_buffer: Option<usize>,
     dropped: Arc<Dropped>,
-    /// Where frames that wait too long are dropped: buffers that need not circulate.
+    /// Spare buffers kept out of circulation; used only if the queue is limited.
     spare: Option<Arc<Spare>>,
-    /// The receiving thread refers to it, which ends with `stream`: fields are dropped in this order.
+    /// Referenced by the receiving thread, which ends with `stream`. Fields are dropped in this order.
     _opening: Box<Opening>,
 }
 
-/// Frames that made room for newer ones.
+/// Frames dropped from a full queue.
 #[derive(Debug, Default)]
 struct Dropped {
     whole: AtomicU64,
     damaged: AtomicU64,
 }
 
-/// Empty buffers that Aravis holds ready where there are spare ones: as many as frames begin before the next
-/// is complete.
+/// Number of empty buffers that Aravis keeps if there are spare ones: as many as frames may begin before the
+/// next is complete.
 const READY: usize = 6;
 
-/// How long Aravis is left with the buffers that it holds ready: six frames of 2000 a second take 3 ms.
+/// Interval between refills of Aravis's empty buffers: six frames at 2000 per second take 3 ms.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
 
-/// Empty buffers that Aravis does not need now. It fills those that it has in turn; where frames come and go,
-/// few of them serve, and stay in the cache. Where frames wait, for lost packets or for the reader, all do.
+/// Empty buffers that Aravis does not need now. Aravis fills its buffers in turn. Normally few buffers
+/// circulate and stay in the cache; while frames are held for lost packets or for the reader, all are used.
 #[derive(Debug, Default)]
 struct Spare(Mutex<Vec<Buffer>>);
 
@@ -130,15 +130,15 @@ impl Spare {
         let ready = usize::try_from(stream.n_buffers().0).unwrap_or(0);
         let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         for _ in ready..READY {
-            // The one that was used last is in the cache.
+            // The most recently used buffer is still in the cache.
             let Some(buffer) = spare.pop() else { break };
             stream.push_buffer(buffer);
         }
     }
 }
 
-/// Keeps no more than so many frames waiting. Runs on the thread that receives, so that a slow reader never
-/// costs the newest frame.
+/// Limits the queue to `waiting` frames. Runs on the receiving thread, so that a slow reader never costs the
+/// newest frame.
 fn drop_oldest(stream: &aravis::Stream, waiting: usize, spare: &Arc<Spare>) -> Arc<Dropped> {
     let dropped = Arc::new(Dropped::default());
     let (counts, spare) = (Arc::clone(&dropped), Arc::clone(spare));
@@ -156,15 +156,15 @@ fn drop_oldest(stream: &aravis::Stream, waiting: usize, spare: &Arc<Spare>) -> A
     dropped
 }
 
-/// Sockets that were open before that of libaravis's receiving thread.
+/// Sockets open before that of libaravis's receiving thread.
 #[derive(Debug)]
 struct Opening {
     before: BTreeSet<OpenSocket>,
-    /// Its socket, closed to all packets; -1 where it was not found.
+    /// Socket of that thread, closed to all packets; -1 if not found.
     socket: AtomicI32,
 }
 
-/// Called by libaravis on the receiving thread; first of all before that reads its socket.
+/// Callback of libaravis on the receiving thread; the first call precedes any read from its socket.
 unsafe extern "C" fn at_start(data: *mut c_void, event: ArvStreamCallbackType, _buffer: *mut ArvBuffer) {
     if event != ARV_STREAM_CALLBACK_TYPE_INIT {
         return;
@@ -178,8 +178,7 @@ unsafe extern "C" fn at_start(data: *mut c_void, event: ArvStreamCallbackType, _
 }
 
 impl Opening {
-    /// Lets nothing more into the one socket that is new, and throws away what it has received since it was
-    /// bound.
+    /// Closes the one new socket to all packets and discards what it has received since it was bound.
     fn close(&self) -> Option<RawFd> {
         let now = socket::udp_sockets();
         let mut new = now.difference(&self.before);
@@ -190,11 +189,11 @@ impl Opening {
     }
 }
 
-/// Number of times that a stream is opened anew where its socket was not found: another part of the program
-/// opened one at the same time.
+/// Maximum attempts to open a stream whose socket was not found because another part of the program opened
+/// one at the same time.
 const OPENINGS: usize = 5;
 
-/// A stream of libaravis. The second part is what its receiving thread refers to: it must be dropped later.
+/// Stream of libaravis, and the data its receiving thread refers to, which must be dropped later.
 type Opened = (aravis::Stream, Box<Opening>);
 
 /// Opens a stream whose receiving thread has not seen any packet.
@@ -227,7 +226,7 @@ fn open(camera: &aravis::Camera) -> Result<Opened, Error> {
     Err(Error::new("stream", "its socket was not found among the open files of this process (/proc/self/fd)"))
 }
 
-/// The IPv4 address of a GigE Vision camera.
+/// Returns the IPv4 address of a GigE Vision camera.
 pub(crate) fn address_of(camera: &aravis::Camera) -> Option<Ipv4Addr> {
     let device = camera.device()?.downcast::<aravis::GvDevice>().ok()?;
     let address = device.device_address()?.downcast::<gio::InetSocketAddress>().ok()?;
@@ -237,18 +236,18 @@ pub(crate) fn address_of(camera: &aravis::Camera) -> Option<Ipv4Addr> {
     }
 }
 
-/// First register of a stream channel, bytes of a channel, and the place of its source port in there (GigE
+/// First register of the stream channels, bytes per channel, and offset of the source port in a channel (GigE
 /// Vision 2.0, 28.32 to 28.36).
 const CHANNELS: u64 = 0xd00;
 const CHANNEL: u64 = 0x40;
 const SOURCE_PORT: u64 = 0x1c;
 
-/// Lets the packets of this camera's frames into the stream's socket, and no others.
+/// Admits only packets of this camera's frames to the stream's socket.
 fn admit(camera: &aravis::Camera, payload: usize, socket: RawFd) -> Result<(), Error> {
     let address = address_of(camera).ok_or_else(|| Error::new("stream", "the camera has no IPv4 address"))?;
     let channel = camera.gv_get_current_stream_channel().unwrap_or(0);
     let register = CHANNELS + CHANNEL * u64::try_from(channel).unwrap_or(0) + SOURCE_PORT;
-    // Not every camera tells it.
+    // Some cameras do not report the source port.
     let port = crate::camera::memory(camera, register, 4).unwrap_or_default();
     let port = port.get(2..4).map_or(0, |b| u16::from_be_bytes([b[0], b[1]]));
     let packet = camera.gv_get_packet_size().named("GevSCPSPacketSize")?;
@@ -265,8 +264,8 @@ impl<'a> Stream<'a> {
         lost: Arc<AtomicBool>,
     ) -> Result<Self, Error> {
         if camera.is_gv_device() {
-            // Aravis's packet socket takes every packet of the network for one of the stream until its own
-            // filter stands.
+            // Until its own filter is set, Aravis's packet socket takes every packet on the network for one
+            // of the stream.
             camera.gv_set_stream_options(GvStreamOption::PACKET_SOCKET_DISABLED);
         }
         let payload = camera.payload().named("PayloadSize")? as usize;
@@ -282,7 +281,7 @@ impl<'a> Stream<'a> {
             gv.set_frame_retention(microseconds(setup.frame_retention));
             let socket = opening.socket.load(Ordering::Acquire);
             receive_buffer = Some(socket::set_receive_buffer(socket, setup.socket_buffer));
-            // 0: Aravis leaves it as it is.
+            // 0: Aravis leaves the buffer size unchanged.
             gv.set_socket_buffer(GvStreamSocketBuffer::Fixed);
             gv.set_socket_buffer_size(0);
             admit(camera, payload, socket)?;
@@ -297,12 +296,12 @@ impl<'a> Stream<'a> {
         Ok(Self { camera, stream, lost, payload, receive_buffer, dropped, spare, _opening: opening })
     }
 
-    /// GigE Vision: bytes of the receive buffer that the system granted.
+    /// GigE Vision: returns the receive buffer granted by the system, bytes.
     pub fn receive_buffer(&self) -> Option<usize> {
         self.receive_buffer
     }
 
-    /// Bytes of a frame.
+    /// Returns the size of a frame, bytes.
     pub fn payload(&self) -> usize {
         self.payload
     }
@@ -311,17 +310,16 @@ impl<'a> Stream<'a> {
     ///
     /// # Errors
     ///
-    /// What Aravis says where the camera has no software trigger or does not answer.
+    /// Aravis reports an error: the camera has no software trigger or does not answer.
     pub fn trigger(&self) -> Result<(), Error> {
         self.camera.software_trigger().named("TriggerSoftware")
     }
 
-    /// Waits for the next frame and shows it to `take`. `Ok(None)`: none came in time. An error: control was
-    /// lost.
+    /// Waits for the next frame and passes it to `take`. Returns `Ok(None)` on timeout.
     ///
     /// # Errors
     ///
-    /// Where no buffer came in time; a buffer that came damaged is no error, and says so.
+    /// Control of the camera was lost. A timeout or a damaged frame is no error.
     pub fn next<T>(
         &mut self,
         timeout: Duration,
@@ -330,7 +328,7 @@ impl<'a> Stream<'a> {
         match self.pop(timeout) {
             Ok(buffer) => {
                 let answer = take(self.look(&buffer));
-                // The bytes are not looked at any more: Aravis may fill them again.
+                // The bytes are no longer borrowed: Aravis may fill the buffer again.
                 match &self.spare {
                     Some(spare) => spare.give_back(&self.stream, buffer),
                     None => self.stream.push_buffer(buffer),
@@ -345,8 +343,8 @@ impl<'a> Stream<'a> {
     fn pop(&self, timeout: Duration) -> Result<Buffer, Silence> {
         let end = Instant::now() + timeout;
         loop {
-            // In slices: a lost camera is noticed in the middle of a long wait, and while a frame waits for
-            // lost packets the next ones find buffers.
+            // Waits in slices, so that a lost camera is noticed during a long wait, and buffers are refilled
+            // while a frame waits for lost packets.
             if let Some(spare) = &self.spare {
                 spare.top_up(&self.stream);
             }
@@ -363,8 +361,8 @@ impl<'a> Stream<'a> {
         }
     }
 
-    /// A buffer with status Success can still be short: with the packet socket the first IP fragment of a packet
-    /// larger than the MTU passes for the whole. So the length is compared with the payload.
+    /// Checks a buffer, also its length against the payload. A buffer with status Success can still be short:
+    /// with the packet socket, the first IP fragment of a packet larger than the MTU passes for the whole.
     fn look<'b>(&self, buffer: &'b Buffer) -> Received<'b> {
         if buffer.status() != BufferStatus::Success {
             return Received::Damaged(format!("{:?}", buffer.status()));
@@ -391,7 +389,7 @@ impl<'a> Stream<'a> {
         }
     }
 
-    /// What Aravis counted.
+    /// Returns the counters of Aravis and of dropped frames.
     pub fn counts(&self) -> StreamCounts {
         let (completed, failures, underruns) = self.stream.statistics();
         let dropped = self.dropped.whole.load(Ordering::Relaxed);
@@ -400,16 +398,17 @@ impl<'a> Stream<'a> {
     }
 }
 
-/// An age above this is a clock that was set: no frame waits so long among a bounded number.
+/// Maximum plausible age: no frame waits so long in a bounded queue, so a larger age means that the clock was
+/// set.
 const OLDEST: Duration = Duration::from_secs(60);
 
-/// Time since a wall-clock time, ns.
+/// Returns the time since a wall-clock time, ns.
 fn age(system_timestamp_ns: u64) -> Option<Duration> {
     let then = UNIX_EPOCH + Duration::from_nanos(system_timestamp_ns);
     SystemTime::now().duration_since(then).ok().filter(|age| *age < OLDEST)
 }
 
-/// A time as libaravis takes it; the longest, 71 minutes, in place of a longer one.
+/// Converts a time for libaravis, clamped to its maximum of 71 minutes.
 fn microseconds(time: Duration) -> u32 {
     u32::try_from(time.as_micros()).unwrap_or(u32::MAX)
 }
@@ -430,7 +429,7 @@ impl Drop for Stream<'_> {
 mod tests {
     use super::*;
 
-    /// A clock that was set while a frame waited makes its age unknown, and nothing else.
+    /// A clock set while a frame waited only makes its age unknown.
     #[test]
     fn a_step_of_the_clock_leaves_the_age_unknown() {
         let ns = |t: SystemTime| u64::try_from(t.duration_since(UNIX_EPOCH).unwrap().as_nanos()).unwrap();

@@ -82,7 +82,7 @@ impl Corrector {
     }
 }
 
-/// Refuses an output that shares memory with the frame.
+/// Rejects an output that shares memory with the frame.
 fn apart<A, B>(from: &[A], to: &[B]) -> PyResult<()> {
     let (a, b) = (from.as_ptr_range(), to.as_ptr_range());
     let overlap = (a.start as usize) < b.end as usize && (b.start as usize) < a.end as usize;

@@ -15,15 +15,15 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 type Opened = Box<dyn camera::Camera>;
-/// The camera, unless its stream has it.
+/// The camera; `None` while its stream owns it.
 type Place = Arc<Mutex<Option<Opened>>>;
 
-/// Of a frame: number, device clock in ns, temperature in degrees Celsius.
+/// Frame metadata: number, device clock in ns, temperature in degrees Celsius.
 type About = (u64, Option<u64>, Option<f64>);
 
-/// Frames that are unpacked before they are asked for: one is on its way while the last is looked at.
+/// Number of frames unpacked ahead: one is in transfer while the last is processed.
 const AHEAD: usize = 1;
-/// Time between two looks at Ctrl-C.
+/// Polling interval for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// A camera by its name: `aravis:ID`, `sim:SENSOR` or `replay:DATASET`.
@@ -203,7 +203,7 @@ impl Camera {
     }
 }
 
-/// What the thread that reads and the iterator share.
+/// State shared by the reading thread and the iterator.
 #[derive(Default)]
 struct Shared {
     stop: AtomicBool,
@@ -270,7 +270,7 @@ impl Frames {
 
 impl Drop for Frames {
     fn drop(&mut self) {
-        // The thread may need the interpreter's lock to end: an effect or a log of Python's.
+        // The thread may need the GIL to end: for an effect or a log handler in Python.
         if Python::try_attach(|py| py.detach(|| self.end())).is_none() {
             self.shared.stop.store(true, Ordering::SeqCst);
         }

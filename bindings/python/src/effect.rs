@@ -1,4 +1,4 @@
-//! Effects that are written in Python: a class that draws and predicts.
+//! Effects written in Python: a class that draws and predicts.
 
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -8,10 +8,10 @@ use radcam_sim::effects::{Drawing, Effect, Page, Parameter, Plain, Stage, Take, 
 use radcam_sim::predict as expected;
 use std::sync::{Mutex, PoisonError};
 
-/// The first exception of an effect: the simulator and the fits have no way to pass it on.
+/// First exception of an effect: the simulator and the fits cannot propagate it.
 static RAISED: Mutex<Option<PyErr>> = Mutex::new(None);
 
-/// What an effect has raised since the last look.
+/// Returns the exception raised by an effect since the last call, and clears it.
 pub fn raised() -> PyResult<()> {
     RAISED.lock().unwrap_or_else(PoisonError::into_inner).take().map_or(Ok(()), Err)
 }
@@ -188,7 +188,7 @@ pub struct PlainCamera {
     full_scale_dn: f64,
 }
 
-/// An effect whose methods are Python's. What an effect says of itself is kept for the life of the process, as that of built-in ones is.
+/// Effect with methods in Python. Its metadata live as long as the process, as those of built-in effects do.
 struct Own {
     object: Py<PyAny>,
     id: &'static str,
@@ -274,7 +274,7 @@ impl Effect for Own {
                     );
                     return Err(PyValueError::new_err(message));
                 }
-                // Whoever moves the signal of a set alone means its frames.
+                // An effect that changes only the signal of a set means its frames.
                 let by = now.signal - to.signal;
                 if same && by != 0.0 {
                     let of_set = campaign.frames.iter().zip(&mut frames).filter(|(f, _)| f.set == number);
@@ -305,7 +305,7 @@ impl Effect for Own {
                 offset_dn: d.offset_dn,
             };
             let drawn = self.object.bind(py).call_method1("draw", (p.to_vec(), &image, about));
-            // The image goes on, whatever happened to it.
+            // After an error the drawing continues with an image of zeros.
             let back = drawn.and_then(|drawn| {
                 if drawn.is_none() {
                     return Ok(image.to_owned_array());

@@ -8,9 +8,9 @@ macro_rules! errors {
         pyo3::create_exception!(radcam, RadcamError, PyException, "What radcam could not do.");
         $(pyo3::create_exception!(radcam, $python, RadcamError);)*
 
-        /// An error as the exception of its name.
+        /// Conversion of an error into the exception of its name.
         pub trait Raised {
-            /// The exception.
+            /// Returns the exception.
             fn raised(self) -> PyErr;
         }
 
@@ -49,7 +49,7 @@ use radcam::emva::EmvaError as Emva;
 use radcam::noise::NoiseError as Noise;
 use radcam::observables::ObserveError as Observe;
 
-// An interruption is one, whatever it came to; a dataset's fault is one, whoever read it.
+// An interruption stays an interruption and a dataset error a dataset error, whichever call raised it.
 
 impl Raised for Capture {
     fn raised(self) -> PyErr {

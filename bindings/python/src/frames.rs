@@ -1,4 +1,4 @@
-//! Frames of datasets, and statistics of frames that come as arrays.
+//! Frames of datasets, and statistics of frames given as arrays.
 
 use crate::errors::{DatasetError, Raised};
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
@@ -9,8 +9,8 @@ use radcam::statistics::moments::Moments as Sums;
 use radcam::statistics::pass::Pass;
 use std::path::PathBuf;
 
-/// Refuses what does not lie row by row without gaps. An array in Fortran's order would be taken for its
-/// transpose: numpy's slices take both.
+/// Rejects arrays that are not C-contiguous. An array in Fortran order would be taken for its transpose:
+/// numpy's slices accept both.
 pub fn in_rows<T: numpy::Element>(array: &Bound<'_, PyArray2<T>>) -> PyResult<()> {
     if array.is_c_contiguous() {
         return Ok(());
@@ -18,8 +18,8 @@ pub fn in_rows<T: numpy::Element>(array: &Bound<'_, PyArray2<T>>) -> PyResult<()
     Err(PyValueError::new_err("the array is not contiguous row by row: numpy.ascontiguousarray makes it so"))
 }
 
-/// A frame as codes of 16 bits, row by row: the array itself where it is that, and otherwise a copy of an array
-/// of unsigned codes of up to 16 bits.
+/// Converts a frame to 16-bit codes, row by row: returns the array itself if it is one, otherwise a copy of
+/// an array of unsigned codes of up to 16 bits.
 pub fn codes_of<'py>(frame: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<u16>>> {
     let py = frame.py();
     if frame.hasattr("mask")? {
@@ -108,7 +108,7 @@ impl Moments {
             )));
         }
         let pixels = pixels(shape)?;
-        // Refused before memory is taken: 16 bytes a pixel.
+        // Checked before allocation: 16 bytes per pixel.
         if Vec::<u128>::new().try_reserve_exact(pixels).is_err() || pixels > 1 << 32 {
             return Err(PyMemoryError::new_err(format!("sums of {} x {} px do not fit", shape.1, shape.0)));
         }
@@ -166,14 +166,14 @@ impl Moments {
     }
 }
 
-/// Pixels of a frame of (rows, columns).
+/// Returns the number of pixels of a frame of (rows, columns).
 fn pixels(shape: (usize, usize)) -> PyResult<usize> {
     shape.0.checked_mul(shape.1).filter(|n| *n > 0).ok_or_else(|| {
         PyValueError::new_err(format!("a frame of {} x {} px makes no image", shape.1, shape.0))
     })
 }
 
-/// The codes of a frame of this shape, none above full scale.
+/// Returns the codes of a frame of this shape, none above full scale.
 fn codes<'a>(
     frame: &'a PyReadonlyArray2<'_, u16>,
     shape: (usize, usize),

@@ -1,4 +1,5 @@
-//! What the Python package `radcam` takes from Rust. The package itself, with its types and documentation, is in `python/radcam`.
+//! Rust part of the Python package `radcam`. The package itself, with its types and documentation, is in
+//! `python/radcam`.
 
 mod calibration;
 mod camera;

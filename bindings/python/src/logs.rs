@@ -1,4 +1,5 @@
-//! What radcam logs goes to Python's `logging`, to loggers named as its modules: `radcam.capture`, `radcam.camera.aravis`.
+//! Log messages go to Python's `logging`, to loggers named as the modules: `radcam.capture`,
+//! `radcam.camera.aravis`.
 
 use pyo3::prelude::*;
 use std::fmt::{Debug, Write};
@@ -8,7 +9,8 @@ use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::{Context, Layer, SubscriberExt};
 
-/// From the first work on, if nobody else listens: the program, which comes with the package, writes to standard error as it does elsewhere.
+/// Installs the subscriber at the first work, unless another is set: the program, which comes with the
+/// package, logs to standard error as usual.
 pub fn begin() {
     static BEGUN: Once = Once::new();
     BEGUN.call_once(|| {
@@ -23,7 +25,7 @@ struct ToPython;
 impl<S: Subscriber> Layer<S> for ToPython {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
         let about = event.metadata();
-        // As `logging` numbers them.
+        // Level numbers of `logging`.
         let level = match *about.level() {
             Level::ERROR => 40,
             Level::WARN => 30,
@@ -33,7 +35,8 @@ impl<S: Subscriber> Layer<S> for ToPython {
         let mut text = Text::default();
         event.record(&mut text);
         let name = about.target().replace("::", ".");
-        // Not while the interpreter ends. What a handler of the user raises belongs to no call of his.
+        // Skipped while the interpreter shuts down. An exception in a user's handler belongs to no call of
+        // the user, so it is discarded.
         let _ = Python::try_attach(|py| -> PyResult<()> {
             let logger = py.import("logging")?.call_method1("getLogger", (name,))?;
             logger.call_method1("log", (level, "%s", format!("{}{}", text.message, text.fields)))?;
@@ -42,7 +45,7 @@ impl<S: Subscriber> Layer<S> for ToPython {
     }
 }
 
-/// The message and the values beside it.
+/// Message and fields of an event.
 #[derive(Default)]
 struct Text {
     message: String,

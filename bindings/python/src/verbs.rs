@@ -1,4 +1,4 @@
-//! The program's verbs on datasets. Results are the JSON of the program, number for number.
+//! Commands of the program on datasets. Results equal the program's JSON, number for number.
 
 use crate::errors::{ModelError, PlanError, Raised};
 use crate::work::run;
@@ -72,7 +72,7 @@ fn free(output: &Path, overwrite: bool) -> PyResult<()> {
     Ok(())
 }
 
-/// Row and column, 0 or 1, of one pixel of every 2 x 2 cell.
+/// Checks the plane: row and column, 0 or 1, of one pixel of every 2 x 2 cell.
 fn checked(plane: Option<[u8; 2]>) -> PyResult<Option<[u8; 2]>> {
     match plane {
         Some([y, x]) if y > 1 || x > 1 => {
@@ -83,13 +83,13 @@ fn checked(plane: Option<[u8; 2]>) -> PyResult<Option<[u8; 2]>> {
     }
 }
 
-/// Datasets, or one colour of them.
+/// Opens datasets, or one colour of them.
 fn open(paths: &[PathBuf], plane: Option<[u8; 2]>) -> PyResult<Source> {
     let source = Source::open_all(paths).map_err(Raised::raised)?;
     plane.map_or(Ok(source.clone()), |plane| source.plane(plane)).map_err(Raised::raised)
 }
 
-/// A dataset, or one colour of it.
+/// Opens a dataset, or one colour of it.
 fn dataset(path: &Path, plane: Option<[u8; 2]>) -> PyResult<Dataset> {
     let dataset = reduction::open(path).map_err(Raised::raised)?;
     plane.map_or(Ok(dataset.clone()), |plane| dataset.plane(plane)).map_err(Raised::raised)

@@ -1,4 +1,4 @@
-//! Long work: without the interpreter's lock, ended by Ctrl-C, with progress.
+//! Long work: without the GIL, interruptible by Ctrl-C, with progress.
 
 use pyo3::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -6,12 +6,13 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Time between two looks at Ctrl-C: a reaction that is felt to be at once.
+/// Polling interval for Ctrl-C, short enough to feel immediate.
 const LOOK: Duration = Duration::from_millis(50);
-/// What work that was told to stop has to end in: a frame being read. Computation that does not look is left to itself.
+/// Time for stopped work to end (a frame being read). Computation that does not check the flag is left
+/// running.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// What work is given to look at and to tell.
+/// Stop flag and progress channel for the work.
 #[derive(Clone)]
 pub struct Watch {
     /// Set by Ctrl-C.
@@ -20,16 +21,16 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Pieces done, of so many.
+    /// Reports progress: `done` of `of` pieces.
     pub fn step(&self, done: usize, of: usize) {
         let _ = self.tell.send((done, of));
     }
 }
 
-/// The process whose threads work here; 0 where there are none yet.
+/// Process that owns the worker threads; 0 before there are any.
 static PROCESS: AtomicU32 = AtomicU32::new(0);
 
-/// Refuses work after a fork: threads do not come with the new process, and what waits for them waits for ever.
+/// Rejects work after a fork: the new process has no threads, and waiting for them would never end.
 pub fn own_threads() -> PyResult<()> {
     let now = std::process::id();
     match PROCESS.compare_exchange(0, now, Ordering::Relaxed, Ordering::Relaxed) {
@@ -41,7 +42,7 @@ pub fn own_threads() -> PyResult<()> {
     }
 }
 
-/// Does work on a thread of its own and waits for it. `progress` is called with (done, of).
+/// Runs work on a separate thread and waits for it. `progress` is called with (done, of).
 pub fn run<T: Send + 'static>(
     py: Python<'_>,
     progress: Option<&Bound<'_, PyAny>>,

@@ -1,13 +1,13 @@
-//! An effect that radcam's catalogue does not have: the reference of the column converters is sampled anew for every row, so that
-//! each row of each frame has a gain of its own.
+//! An effect outside radcam's catalogue: the reference of the column converters is sampled anew for every
+//! row, so that each row of each frame has its own gain.
 //!
-//! An effect draws and predicts. [`radcam_sim::effects::register`] makes it known, and every verb takes it: `effects`, `model add`,
-//! `simulate`, `compare`, `diagnose`.
+//! An effect draws and predicts. [`radcam_sim::effects::register`] registers it for every command: `effects`,
+//! `model add`, `simulate`, `compare`, `diagnose`.
 
 use radcam_sim::effects::{Drawing, Effect, Page, Parameter, Plain, Stage, takes};
 use radcam_sim::predict::{Campaign, Prediction};
 
-/// Each row's signal times 1 + rel N(0, 1), anew in every frame.
+/// Row gain noise: the signal of each row is multiplied by 1 + rel N(0, 1), anew in every frame.
 pub struct RowGainNoise;
 
 impl Effect for RowGainNoise {
@@ -48,7 +48,7 @@ impl Effect for RowGainNoise {
     }
 
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
-        // After the amplifier everything is in DN above the black level.
+        // After the amplifier all values are in DN above the black level.
         for s in &mut out.sets {
             s.row.add((p[0] * s.signal).powi(2));
         }

@@ -1,4 +1,4 @@
-//! radcam with one effect more: `cargo run -p row-gain-noise -- effects row-gain-noise`.
+//! radcam with one additional effect: `cargo run -p row-gain-noise -- effects row-gain-noise`.
 
 fn main() -> std::process::ExitCode {
     if let Err(taken) = radcam_sim::effects::register(&row_gain_noise::RowGainNoise) {

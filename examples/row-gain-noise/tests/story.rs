@@ -1,4 +1,4 @@
-//! The program with its own effect, from the model file to the diagnosis.
+//! The program with its own effect, from model file to diagnosis.
 
 #![allow(clippy::unwrap_used)] // a test may stop where it stumbles
 
@@ -9,7 +9,7 @@ fn run(arguments: &[&str], folder: &Path) -> Output {
     Command::new(env!("CARGO_BIN_EXE_row-gain-noise")).args(arguments).current_dir(folder).output().unwrap()
 }
 
-/// Drawn by a model that holds it, it is named; a model that holds it describes the campaign.
+/// Drawn by a model with the effect, it is diagnosed by name; the model found describes the campaign.
 #[test]
 fn the_effect_is_added_drawn_and_found() {
     let folder = tempfile::tempdir().unwrap();
@@ -30,7 +30,7 @@ fn the_effect_is_added_drawn_and_found() {
     done(&["compare", "campaign", "--model", "found.toml"], 0);
 }
 
-/// A name is taken once.
+/// A name can be registered only once.
 #[test]
 fn names_are_taken_once() {
     assert!(radcam_sim::effects::register(&row_gain_noise::RowGainNoise).is_ok());

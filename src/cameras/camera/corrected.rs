@@ -1,4 +1,4 @@
-//! A camera whose frames come corrected, eq. (51): any camera with its calibration.
+//! Camera with corrected frames, eq. (51): any camera together with its calibration.
 
 use super::{
     Automatic, Camera, CameraError, Capabilities, FrameStream, Identity, Settings, StreamCounts,
@@ -11,7 +11,7 @@ use crate::pixel_format::PixelFormat;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// A camera and what takes its pattern off. Frames are 16-bit codes, [`Codes`] says of what.
+/// Camera and corrector. Frames are 16-bit codes; [`Codes`] gives their meaning.
 ///
 /// ```
 /// # use radcam::calibrate::file::Calibration;
@@ -41,12 +41,13 @@ fn fault(camera: &impl Camera, error: CorrectError) -> CameraError {
 }
 
 impl<C: Camera> Corrected<C> {
-    /// Joins a camera and its calibration. Refused where camera, size, format, gain or black level are not those of the
-    /// calibration, naming what differs, and where the dark reference does not reach to the exposure in use.
+    /// Joins a camera and its calibration. Refuses if camera, size, format, gain or black level are not those
+    /// of the calibration, and names the differences. Also refuses if the dark reference does not cover the
+    /// current exposure.
     ///
     /// # Errors
     ///
-    /// What differs between the camera and that of the calibration.
+    /// Differences between the camera and that of the calibration.
     pub fn new(mut camera: C, calibration: Calibration, codes: Codes) -> Result<Self, CameraError> {
         let now = info(&mut camera)?;
         let found = calibration.description.camera.differences(&now);
@@ -58,23 +59,24 @@ impl<C: Camera> Corrected<C> {
         Ok(Self { camera, calibration, codes, corrector })
     }
 
-    /// Also replaces the flagged pixels of the calibration.
+    /// Also replaces the pixels that the calibration flags.
     pub fn replacing_defects(mut self) -> Self {
         self.corrector = self.corrector.replacing_defects(&self.calibration);
         self
     }
 
-    /// What the codes mean.
+    /// Returns the meaning of the codes.
     pub fn codes(&self) -> Codes {
         self.codes
     }
 
-    /// The camera without its correction.
+    /// Returns the camera without correction.
     pub fn into_inner(self) -> C {
         self.camera
     }
 
-    /// Takes the dark reference of another exposure; where it does not reach there the camera goes back.
+    /// Switches to the dark reference of another exposure. Restores the old exposure if the reference does
+    /// not cover the new one.
     fn follow(&mut self, before_s: f64, now_s: f64) -> Result<(), CameraError> {
         if now_s == before_s {
             return Ok(());
@@ -92,7 +94,7 @@ impl<C: Camera> Corrected<C> {
         }
     }
 
-    /// Undoes a setting under which the calibration does not hold.
+    /// Applies a setting, and undoes it if the calibration does not hold under it.
     fn keep<T>(
         &mut self,
         set: impl FnOnce(&mut C) -> Result<T, CameraError>,
@@ -155,7 +157,8 @@ impl<C: Camera> Camera for Corrected<C> {
     }
 
     fn set_region(&mut self, region: Region) -> Result<Region, CameraError> {
-        // The calibration does not say where its region lay: only the region in force when it was joined will do.
+        // A calibration need not state the position of its region: only the region at construction is
+        // accepted.
         let now = self.camera.settings()?.region;
         if region == now {
             return Ok(now);
@@ -223,7 +226,7 @@ struct CorrectedStream<'a> {
     stream: Box<dyn FrameStream + 'a>,
     corrector: &'a Corrector,
     codes: Codes,
-    /// The frame as it came; its memory serves again.
+    /// Raw frame (recycled buffer).
     raw: Frame,
 }
 

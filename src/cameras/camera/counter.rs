@@ -2,10 +2,10 @@
 
 use std::collections::VecDeque;
 
-/// Frames by which one may come late, and whose numbers are kept: no stream has so many buffers.
+/// Maximum lateness of a frame, in frames, and number of frame numbers kept: no stream has so many buffers.
 const LATE: u64 = 4096;
 
-/// Takes the 16-bit frame numbers of GigE Vision, which run 1 .. 65535 and begin again, for ever longer ones.
+/// Extends the 16-bit frame numbers of GigE Vision, which run 1 .. 65535 and restart at 1, to unlimited ones.
 #[derive(Debug, Clone, Default)]
 pub struct FrameCounter {
     last: Option<u64>,
@@ -14,15 +14,15 @@ pub struct FrameCounter {
 }
 
 impl FrameCounter {
-    /// The running number of a frame, and how many were skipped before it; `None` where a frame of this
-    /// number came before. `bits16` tells a camera that wraps.
+    /// Returns the running number of a frame, and how many were skipped before it; `None` if a frame of this
+    /// number came before. `bits16`: the camera wraps at 16 bits.
     pub fn take(&mut self, id: u64, bits16: bool) -> Option<(u64, u64)> {
         const PERIOD: u64 = 65_535; // 0 is never used
         let last = self.last.unwrap_or(id);
         let mut long = id;
         if bits16 && id <= PERIOD && self.last.is_some() {
             long = last - last % PERIOD + id % PERIOD;
-            // A step of almost the period is a frame that came late.
+            // A large step back is a wrap; a step forward by almost the period is a late frame.
             if long < last && last - long > LATE {
                 long += PERIOD;
             } else if long > last && long - last > PERIOD - LATE {
@@ -53,7 +53,7 @@ mod tests {
         assert_eq!(take(65_535), Some((65_535, 0)));
         assert_eq!(take(1), Some((65_536, 0)));
         assert_eq!(take(4), Some((65_539, 2)));
-        // Out of order: neither loss nor a lap.
+        // Out of order: neither a loss nor a wrap.
         assert_eq!(take(3), Some((65_538, 0)));
         for lap in 0..200_000u64 {
             let id = (4 + lap) % 65_535 + 1;
@@ -78,7 +78,7 @@ mod tests {
         assert_eq!((counter.take(7, true), counter.take(9, true)), (None, None));
         assert_eq!(counter.take(8, true), Some((8, 0)));
         assert_eq!(counter.take(8, true), None);
-        // A lap later these 16 bits are another frame's.
+        // One wrap later the same 16-bit numbers belong to other frames.
         for id in 10..=65_535 {
             assert_eq!(counter.take(id, true), Some((id, 0)));
         }

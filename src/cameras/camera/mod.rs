@@ -1,7 +1,7 @@
 //! Cameras behind one trait: real ones, simulated ones, and recordings.
 //!
-//! A backend is one file here, with its [`Backend`], and one line below. What a camera cannot do answers
-//! [`CameraError::NotAvailable`], and [`Capabilities`] says so beforehand.
+//! Each backend is one file here with a [`Backend`], and one line in the list below. An unsupported operation
+//! returns [`CameraError::NotAvailable`]; [`Capabilities`] tells beforehand.
 
 pub mod corrected;
 mod counter;
@@ -33,23 +33,23 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
-/// A kind of camera.
+/// Camera backend: one kind of camera.
 #[derive(Debug, Clone, Copy)]
 pub struct Backend {
-    /// What stands before the colon of a camera's name.
+    /// Prefix of a camera name, before the colon.
     pub name: &'static str,
-    /// What stands behind it, in words.
+    /// Description of the part after the colon, for messages.
     pub takes: &'static str,
-    /// Opens a camera by what stands behind the colon.
+    /// Function that opens a camera, given the part after the colon.
     pub open: fn(&str) -> Result<Box<dyn Camera>, CameraError>,
-    /// The cameras that are there now.
+    /// Function that lists the cameras available now.
     pub list: fn() -> Vec<Listed>,
 }
 
 /// A camera that can be opened.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Listed {
-    /// What [`open`] takes.
+    /// Name that [`open`] accepts.
     pub camera: String,
     /// Maker.
     pub vendor: String,
@@ -57,7 +57,7 @@ pub struct Listed {
     pub model: String,
     /// Serial number.
     pub serial: String,
-    /// How it is reached, such as `GigEVision`.
+    /// Transport protocol, such as `GigEVision`.
     pub protocol: String,
 }
 
@@ -72,7 +72,7 @@ pub struct Listed {
 ///
 /// # Errors
 ///
-/// [`CameraError::Absent`] where no backend has that name or no such camera answers.
+/// [`CameraError::Absent`] if no backend has that name or no such camera answers.
 pub fn open(name: &str) -> Result<Box<dyn Camera>, CameraError> {
     let absent = |message: String| CameraError::Absent { camera: name.into(), message };
     let Some((kind, id)) = name.split_once(':') else {
@@ -88,7 +88,7 @@ pub fn open(name: &str) -> Result<Box<dyn Camera>, CameraError> {
     }
 }
 
-/// What [`open`] takes, in words: `aravis:ID (...), sim:SENSOR or replay:DATASET`.
+/// Returns the name forms that [`open`] accepts: `aravis:ID (...), sim:SENSOR or replay:DATASET`.
 pub fn names() -> String {
     let forms: Vec<String> = BACKENDS.iter().map(|b| format!("{}:{}", b.name, b.takes)).collect();
     match forms.split_last() {
@@ -97,19 +97,20 @@ pub fn names() -> String {
     }
 }
 
-/// Every camera that [`open`] can open now, recordings aside. A search of networks and USB takes about a second.
+/// Lists every camera that [`open`] can open now, except recordings. A search of networks and USB takes about
+/// a second.
 pub fn list() -> Vec<Listed> {
     BACKENDS.iter().flat_map(|b| (b.list)()).collect()
 }
 
-/// What is missing where radcam was built without libaravis.
+/// Error message of a radcam that was built without libaravis.
 pub const NO_ARAVIS: &str = "this radcam was built without libaravis; install libaravis-dev and libusb-1.0-0-dev and \
                              build with the feature \"aravis\" (on by default)";
 
-/// Who a camera is.
+/// Identity of a camera.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Identity {
-    /// How it is opened again, such as `aravis:192.168.1.5`.
+    /// Name that opens the camera again, such as `aravis:192.168.1.5`.
     pub id: String,
     /// Maker.
     pub vendor: String,
@@ -117,7 +118,7 @@ pub struct Identity {
     pub model: String,
     /// Serial number.
     pub serial: String,
-    /// Firmware version, where the camera tells.
+    /// Firmware version, if the camera reports it.
     pub firmware: Option<String>,
 }
 
@@ -130,19 +131,19 @@ impl fmt::Display for Identity {
     }
 }
 
-/// What a number may be.
+/// Range and step of a numeric setting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
     /// Smallest value.
     pub min: f64,
     /// Largest value.
     pub max: f64,
-    /// Step, where the camera has one.
+    /// Step, if the camera has one.
     pub increment: Option<f64>,
 }
 
 impl Bounds {
-    /// The nearest value that the camera can take.
+    /// Returns the nearest value that the camera accepts.
     pub fn nearest(&self, value: f64) -> f64 {
         let value = value.min(self.max).max(self.min);
         match self.increment {
@@ -155,14 +156,14 @@ impl Bounds {
     }
 }
 
-/// What a camera can do. `None`: it has no such setting.
+/// Capabilities of a camera. `None`: the camera has no such setting.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Capabilities {
     /// Exposure, s.
     pub exposure_s: Option<Bounds>,
     /// Gain, dB.
     pub gain_db: Option<Bounds>,
-    /// Black level, DN (or the camera's own unit where it has another).
+    /// Black level, DN (or the camera's own unit if it has another).
     pub black_level_dn: Option<Bounds>,
     /// Frames per second.
     pub frame_rate_hz: Option<Bounds>,
@@ -174,7 +175,7 @@ pub struct Capabilities {
     pub offset_increment: (u32, u32),
     /// Formats that radcam can unpack.
     pub pixel_formats: Vec<PixelFormat>,
-    /// Whether single frames can be asked for.
+    /// True if single frames can be triggered by software.
     pub software_trigger: bool,
 }
 
@@ -198,7 +199,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The `[camera]` table of a dataset: who the camera is and how it is set, without its further features.
+    /// Returns the `[camera]` table of a dataset: identity and settings, without further features.
     pub fn info(&self, identity: &Identity) -> CameraInfo {
         CameraInfo {
             vendor: identity.vendor.clone(),
@@ -217,62 +218,62 @@ impl Settings {
     }
 }
 
-/// What a camera is now, in the terms of a dataset and of a calibration: identity, settings and features.
+/// Reads identity, settings and features of a camera in the terms of a dataset and of a calibration.
 ///
 /// # Errors
 ///
-/// What the camera refuses to tell.
+/// A setting that the camera refuses to report.
 pub fn info(camera: &mut dyn Camera) -> Result<CameraInfo, CameraError> {
     let settings = camera.settings()?;
     let features = camera.features().into_iter().map(|(name, value)| (name, value.into())).collect();
     Ok(CameraInfo { features, ..settings.info(camera.identity()) })
 }
 
-/// How long a frame is waited for: twice the exposure, since one may be under way, and time for the camera to
-/// answer; a day at most.
+/// Returns the timeout for a frame: twice the exposure, because one may be in progress, plus time for the
+/// camera to answer; a day at most.
 pub fn patience(exposure_s: f64) -> Duration {
     Duration::from_secs_f64((2.0 * exposure_s.max(0.0) + 5.0).min(86_400.0))
 }
 
-/// When the camera exposes.
+/// Trigger mode of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Trigger {
-    /// One frame after another.
+    /// Continuous acquisition.
     #[default]
     FreeRun,
     /// One frame for each [`FrameStream::trigger`].
     Software,
 }
 
-/// An automatic function, and what became of it.
+/// Automatic function of the camera, and the result of switching it off.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Automatic {
     /// GenICam name.
     pub feature: String,
-    /// What it was.
+    /// Value before.
     pub before: String,
-    /// What it reads now.
+    /// Value read back.
     pub now: String,
-    /// Whether it no longer touches the image.
+    /// True if the function no longer affects the image.
     pub off: bool,
 }
 
-/// How a stream is set up.
+/// Configuration of a stream.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamOptions {
-    /// Frames held ready for the camera to fill.
+    /// Buffers queued for the camera to fill.
     pub buffers: usize,
-    /// Whole frames that may wait to be taken: one more, and the oldest is dropped and counted. `None`: all
-    /// wait, and a frame that finds no free buffer is an underrun. Keep it below `buffers`, so that one is
-    /// always free.
+    /// Maximum number of complete frames that wait to be taken. One more drops the oldest, which is counted.
+    /// `None`: all wait, and a frame that finds no free buffer is an underrun. Keep it below `buffers`, so
+    /// that one buffer is always free.
     pub waiting: Option<usize>,
-    /// GigE Vision: bytes of a packet; `None` negotiates the largest that passes.
+    /// GigE Vision: packet size, bytes; `None` negotiates the largest that passes.
     pub packet_size: Option<u32>,
-    /// GigE Vision: whether lost packets are asked for again.
+    /// GigE Vision: true if lost packets are requested again (packet resend).
     pub packet_resend: bool,
     /// GigE Vision: time until a packet counts as lost.
     pub packet_timeout: Duration,
-    /// GigE Vision: time until an unfinished frame is given up.
+    /// GigE Vision: time until an incomplete frame is given up.
     pub frame_retention: Duration,
     /// GigE Vision: receive buffer of the socket, bytes.
     pub socket_buffer: usize,
@@ -292,28 +293,28 @@ impl Default for StreamOptions {
     }
 }
 
-/// What a stream counted.
+/// Frame counts of a stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct StreamCounts {
-    /// Whole frames handed out.
+    /// Complete frames handed out.
     pub completed: u64,
-    /// Frames that arrived damaged or in part.
+    /// Frames that arrived damaged or incomplete.
     pub failures: u64,
-    /// Frames for which no buffer was free.
+    /// Frames lost because no buffer was available (underruns).
     pub underruns: u64,
-    /// Whole frames that waited too long and made room for newer ones ([`StreamOptions::waiting`]).
+    /// Complete frames dropped to make room for newer ones ([`StreamOptions::waiting`]).
     #[serde(default)]
     pub dropped: u64,
-    /// Frames that the camera's numbers, or its clock after an interval without it, say were taken and of
-    /// which nothing else is known.
+    /// Frames known only from gaps in the frame numbers, or from the camera's clock after an interval without
+    /// the camera.
     pub missing: u64,
-    /// Number of whole frames whose number had come before. They are discarded, and none of them is lost.
+    /// Complete frames discarded because their number had come before. None of them counts as lost.
     #[serde(default)]
     pub repeated: u64,
 }
 
 impl StreamCounts {
-    /// Frames that did not come through: damaged, dropped, without a buffer, or never seen.
+    /// Returns the number of lost frames: damaged, dropped, without a buffer, or never seen.
     pub fn lost(&self) -> u64 {
         self.failures + self.underruns + self.dropped + self.missing
     }
@@ -329,50 +330,50 @@ impl StreamCounts {
     }
 }
 
-/// What went wrong with a camera.
+/// Camera error.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CameraError {
     /// No such camera.
     #[error("camera {camera}: {message}")]
     Absent {
-        /// What was asked for.
+        /// Requested name.
         camera: String,
-        /// What was found instead, and what to do.
+        /// Reason or cameras found instead, and advice.
         message: String,
     },
-    /// It was there and no longer answers.
+    /// The camera was open and no longer answers.
     #[error("camera {camera} was lost: {message}")]
     Lost {
-        /// Which camera.
+        /// Camera id.
         camera: String,
-        /// How that was noticed.
+        /// Symptom of the loss.
         message: String,
     },
     /// A recording has no more frames.
     #[error("camera {camera}: {message}")]
     Ended {
-        /// Which camera.
+        /// Camera id.
         camera: String,
-        /// Under which settings there are no more.
+        /// Settings without further frames.
         message: String,
     },
-    /// It has no such feature.
+    /// The camera has no such feature.
     #[error("camera {camera} has no {feature}")]
     NotAvailable {
-        /// Which camera.
+        /// Camera id.
         camera: String,
-        /// Which feature.
+        /// Feature name.
         feature: String,
     },
-    /// The value lies outside what the camera takes.
+    /// The value is outside the range that the camera accepts.
     #[error("camera {camera}: {feature} = {value} {unit} lies outside {min} to {max} {unit}")]
     OutOfRange {
-        /// Which camera.
+        /// Camera id.
         camera: String,
-        /// Which feature.
+        /// Feature name.
         feature: String,
-        /// What was asked for.
+        /// Requested value.
         value: f64,
         /// Smallest value.
         min: f64,
@@ -381,46 +382,46 @@ pub enum CameraError {
         /// Unit of the three.
         unit: &'static str,
     },
-    /// The camera took another value than the one asked for.
+    /// The camera reports another value than the requested one.
     #[error("camera {camera}: {feature} was set to {asked} and reads {got}")]
     ReadBack {
-        /// Which camera.
+        /// Camera id.
         camera: String,
-        /// Which feature.
+        /// Feature name.
         feature: String,
-        /// With its unit.
+        /// Requested value, with its unit.
         asked: String,
-        /// With its unit.
+        /// Value read back, with its unit.
         got: String,
     },
-    /// No frame came.
+    /// No frame arrived in time.
     #[error("camera {camera}: no frame within {seconds:.1} s ({counts})")]
     Timeout {
-        /// Which camera.
+        /// Camera id.
         camera: String,
-        /// How long was waited.
+        /// Time waited, s.
         seconds: f64,
-        /// What did come.
+        /// Frames counted so far, or the cause, with advice.
         counts: String,
     },
-    /// The backend refused.
+    /// The backend reported an error.
     #[error("camera {camera}: {feature}: {message}")]
     Backend {
-        /// Which camera.
+        /// Camera id.
         camera: String,
         /// Feature or action.
         feature: String,
-        /// What it said.
+        /// Message of the backend.
         message: String,
     },
 }
 
-/// A frame as it came, before it is unpacked.
+/// Frame as received, before it is unpacked.
 #[derive(Debug, Clone, Copy)]
 pub struct Arrived<'a> {
-    /// Its pixels row by row, as they came over the wire.
+    /// Pixels row by row, as received over the wire.
     pub bytes: &'a [u8],
-    /// What the bytes mean.
+    /// Pixel format of the bytes.
     pub format: PixelFormat,
     /// Columns and rows.
     pub size: (usize, usize),
@@ -428,23 +429,23 @@ pub struct Arrived<'a> {
     pub id: u64,
     /// As [`Frame::timestamp_ns`].
     pub timestamp_ns: Option<u64>,
-    /// Time since its first packet came, where that is known.
+    /// Time since the first packet of the frame arrived, if known.
     pub age: Option<Duration>,
 }
 
 /// A running acquisition. Dropping it stops the camera.
 pub trait FrameStream {
-    /// Waits for the next frame and fills `frame` with it, without a new allocation where the size fits.
+    /// Waits for the next frame and writes it into `frame`, without an allocation if the size fits.
     ///
-    /// A damaged frame is handed out with its status and counted; it must not be used.
+    /// A damaged frame is returned with its status and counted; it must not be used.
     ///
     /// # Errors
     ///
-    /// [`CameraError::Timeout`] where no frame came in time, [`CameraError::Lost`] where the camera is gone.
+    /// [`CameraError::Timeout`] if no frame came in time, [`CameraError::Lost`] if the camera is gone.
     fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<(), CameraError>;
 
-    /// Waits for the next frame and shows its bytes to `take` where they are, without a copy. A damaged frame
-    /// is counted and comes as its reason. A backend whose frames do not come as bytes uses `memory`.
+    /// Waits for the next frame and passes its bytes to `take` in place, without a copy. A damaged frame is
+    /// counted, and `take` receives the reason. A backend whose frames do not arrive as bytes uses `memory`.
     ///
     /// # Errors
     ///
@@ -475,47 +476,47 @@ pub trait FrameStream {
         Ok(())
     }
 
-    /// Asks for one frame, with [`Trigger::Software`].
+    /// Requests one frame, with [`Trigger::Software`].
     ///
     /// # Errors
     ///
     /// [`CameraError::NotAvailable`] without a software trigger.
     fn trigger(&mut self) -> Result<(), CameraError>;
 
-    /// What was counted so far.
+    /// Returns the counts so far.
     fn counts(&self) -> StreamCounts;
 }
 
-/// A camera.
+/// Interface of a camera.
 ///
-/// Setters return what the camera then reports, which may be the nearest value that it can take.
+/// Setters return the value that the camera then reports, possibly the nearest that it accepts.
 pub trait Camera: Send {
-    /// Who it is.
+    /// Returns the identity of the camera.
     fn identity(&self) -> &Identity;
 
-    /// What it can do.
+    /// Returns the capabilities of the camera.
     fn capabilities(&self) -> &Capabilities;
 
     /// Reads every setting back.
     ///
     /// # Errors
     ///
-    /// [`CameraError::Lost`] or what the camera refuses to tell.
+    /// [`CameraError::Lost`], or a setting that the camera refuses to report.
     fn settings(&mut self) -> Result<Settings, CameraError>;
 
     /// Sets the exposure, s.
     ///
     /// # Errors
     ///
-    /// [`CameraError::OutOfRange`], or what the camera refuses.
+    /// [`CameraError::OutOfRange`], or the camera refuses the value.
     fn set_exposure_s(&mut self, value: f64) -> Result<f64, CameraError>;
 
     /// Sets the gain, dB.
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it
-    /// refuses.
+    /// [`CameraError::NotAvailable`] if there is no such setting, [`CameraError::OutOfRange`], or the camera
+    /// refuses the value.
     fn set_gain_db(&mut self, _value: f64) -> Result<f64, CameraError> {
         Err(self.not_available("Gain"))
     }
@@ -524,8 +525,8 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it
-    /// refuses.
+    /// [`CameraError::NotAvailable`] if there is no such setting, [`CameraError::OutOfRange`], or the camera
+    /// refuses the value.
     fn set_black_level_dn(&mut self, _value: f64) -> Result<f64, CameraError> {
         Err(self.not_available("BlackLevel"))
     }
@@ -534,8 +535,8 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such setting, [`CameraError::OutOfRange`], or what it
-    /// refuses.
+    /// [`CameraError::NotAvailable`] if there is no such setting, [`CameraError::OutOfRange`], or the camera
+    /// refuses the value.
     fn set_frame_rate_hz(&mut self, _value: f64) -> Result<f64, CameraError> {
         Err(self.not_available("AcquisitionFrameRate"))
     }
@@ -544,21 +545,21 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such format, or what it refuses.
+    /// [`CameraError::NotAvailable`] if there is no such format, or the camera refuses it.
     fn set_pixel_format(&mut self, format: PixelFormat) -> Result<PixelFormat, CameraError>;
 
     /// Sets the region of interest.
     ///
     /// # Errors
     ///
-    /// [`CameraError::OutOfRange`], or what the camera refuses.
+    /// [`CameraError::OutOfRange`], or the camera refuses the region.
     fn set_region(&mut self, region: Region) -> Result<Region, CameraError>;
 
-    /// Sets when the camera exposes.
+    /// Sets the trigger mode.
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such trigger.
+    /// [`CameraError::NotAvailable`] if there is no such trigger.
     fn set_trigger(&mut self, trigger: Trigger) -> Result<(), CameraError> {
         match trigger {
             Trigger::FreeRun => Ok(()),
@@ -566,16 +567,16 @@ pub trait Camera: Send {
         }
     }
 
-    /// Switches off what distorts radiometry, reads each setting back and tells what became of it.
+    /// Switches off features that distort radiometry, reads each one back and returns the results.
     ///
     /// # Errors
     ///
-    /// What the camera refuses to tell; what cannot be switched off is no error.
+    /// A feature that the camera refuses to report. A feature that cannot be switched off is no error.
     fn disable_automatics(&mut self) -> Result<Vec<Automatic>, CameraError> {
         Ok(Vec::new())
     }
 
-    /// Whether there is a feature of this GenICam name.
+    /// Returns true if the camera has a feature with this GenICam name.
     fn has_feature(&mut self, _name: &str) -> bool {
         false
     }
@@ -584,7 +585,7 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such feature, or what it refuses.
+    /// [`CameraError::NotAvailable`] if there is no such feature, or the camera refuses the value.
     fn set_feature(&mut self, name: &str, _value: &Value) -> Result<Value, CameraError> {
         Err(self.not_available(name))
     }
@@ -593,7 +594,7 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such feature, or what it refuses.
+    /// [`CameraError::NotAvailable`] if there is no such feature, or the camera refuses to report it.
     fn feature(&mut self, name: &str) -> Result<Value, CameraError> {
         Err(self.not_available(name))
     }
@@ -602,27 +603,27 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such command, or what it refuses.
+    /// [`CameraError::NotAvailable`] if there is no such command, or the camera refuses it.
     fn execute(&mut self, command: &str) -> Result<(), CameraError> {
         Err(self.not_available(command))
     }
 
-    /// Largest value of a feature that is a number.
+    /// Returns the maximum of a numeric feature.
     fn largest(&mut self, _name: &str) -> Option<f64> {
         None
     }
 
-    /// Files in the camera that may be written or read (SFNC, File Access Control).
+    /// Returns the names of camera files that can be written or read (SFNC, File Access Control).
     fn files(&mut self) -> Vec<String> {
         Vec::new()
     }
 
-    /// Writes a file into the camera. `go_on` hears how many bytes are done, and ends it by false: what is
-    /// then in the file is the camera's own choice.
+    /// Writes a file into the camera. `go_on` receives the number of bytes done and cancels by returning
+    /// false; the contents of the file are then up to the camera.
     ///
     /// # Errors
     ///
-    /// [`CameraError::NotAvailable`] where it has no such file, or what it refuses.
+    /// [`CameraError::NotAvailable`] if there is no such file, or the camera refuses it.
     fn write_file(
         &mut self,
         name: &str,
@@ -632,7 +633,7 @@ pub trait Camera: Send {
         Err(self.not_available(name))
     }
 
-    /// Reads a file of the camera, at most so many bytes of it.
+    /// Reads a file of the camera, up to a maximum number of bytes.
     ///
     /// # Errors
     ///
@@ -646,43 +647,43 @@ pub trait Camera: Send {
         Err(self.not_available(name))
     }
 
-    /// Settings worth keeping beside a capture, by GenICam name; of a feature that several entries of a
-    /// selector share `Name[Entry]`.
+    /// Returns the settings worth recording with a capture, by GenICam name. A feature that a selector gives
+    /// several entries is named `Name[Entry]`.
     fn features(&mut self) -> BTreeMap<String, Value> {
         BTreeMap::new()
     }
 
-    /// Features of which [`crate::features::role`] knows nothing and whose names speak of radiometry.
+    /// Returns features that are unknown to [`crate::features::role`] and whose names suggest radiometry.
     fn unlisted_features(&mut self) -> Vec<String> {
         Vec::new()
     }
 
-    /// Whether it draws the same frames again from its first on: a campaign is then gone on with by drawing
-    /// once more what is on disk.
+    /// Returns true if the camera repeats the same frames from the first one on. A campaign is then continued
+    /// by drawing again the frames on disk.
     fn draws_again(&self) -> bool {
         false
     }
 
-    /// Told before a campaign is continued: so many frames were taken, the last of them at this time, s. A
-    /// simulated camera must not draw the same noise twice. Whether the camera's clock shows campaign time
-    /// from now.
+    /// Announces that a campaign is continued: the number of frames taken, and the time of the last one, s. A
+    /// simulated camera must not draw the same noise twice. Returns true if the camera's clock shows campaign
+    /// time from now on.
     fn continue_after(&mut self, _frames: u64, _time_s: f64) -> bool {
         false
     }
 
-    /// Says which frame a simulated camera draws next, and its time, s: its noise then follows from the place
-    /// of the frame in a campaign. `false`: a camera that cannot be told.
+    /// Sets the number and the time, s, of the next frame of a simulated camera. Its noise then follows from
+    /// the position of the frame in a campaign. Returns false if the camera cannot do this.
     fn draw_from(&mut self, _frame: u64, _time_s: f64) -> bool {
         false
     }
 
-    /// The simulated bench before it, which drives its light; `None`: a real one.
+    /// Returns the simulated bench in front of the camera, which drives its light; `None`: a real bench.
     fn shared_bench(&self) -> Option<sim::SharedBench> {
         None
     }
 
-    /// Photons per pixel per second that its own bench gives at illumination 1, where it says so: a simulated
-    /// or served camera.
+    /// Returns the photons per pixel per second of the camera's own bench at illumination 1, if known: for a
+    /// simulated or served camera.
     fn photon_flux_per_s(&mut self) -> Option<f64> {
         None
     }
@@ -691,10 +692,10 @@ pub trait Camera: Send {
     ///
     /// # Errors
     ///
-    /// What the camera refuses, or that no stream can be set up.
+    /// The camera refuses, or no stream can be set up.
     fn stream(&mut self, options: &StreamOptions) -> Result<Box<dyn FrameStream + '_>, CameraError>;
 
-    /// The error for what this camera has not.
+    /// Returns the error for a feature that this camera does not have.
     fn not_available(&self, feature: &str) -> CameraError {
         CameraError::NotAvailable { camera: self.identity().id.clone(), feature: feature.into() }
     }
@@ -710,7 +711,7 @@ pub(crate) fn check_bounds(
 ) -> Result<Bounds, CameraError> {
     let bounds =
         bounds.ok_or_else(|| CameraError::NotAvailable { camera: camera.into(), feature: feature.into() })?;
-    // A hair beyond the end is rounding, not a wish.
+    // An excess within rounding error is accepted.
     let slack = 1e-9 * bounds.max.abs().max(bounds.min.abs());
     if value >= bounds.min - slack && value <= bounds.max + slack {
         return Ok(bounds);

@@ -1,4 +1,4 @@
-//! A recorded dataset as a camera: asking for a setting finds the sets that were taken with it.
+//! Recorded dataset as a camera: a setting selects the sets that were taken with it.
 
 use super::sim::SharedBench;
 use super::{
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-/// Recordings.
+/// Backend for recordings.
 pub const BACKEND: Backend = Backend {
     name: "replay",
     takes: "DATASET",
@@ -22,7 +22,7 @@ pub const BACKEND: Backend = Backend {
     list: Vec::new,
 };
 
-/// A camera that plays a dataset back.
+/// Camera that plays back a dataset.
 #[derive(Debug)]
 pub struct ReplayCamera {
     identity: Identity,
@@ -30,16 +30,16 @@ pub struct ReplayCamera {
     dataset: Dataset,
     bench: SharedBench,
     settings: Settings,
-    /// How many frames of each set were played.
+    /// Number of frames played, by set.
     played: Vec<usize>,
 }
 
 impl ReplayCamera {
-    /// Opens a dataset as a camera before a bench that stands as it stood then.
+    /// Opens a dataset as a camera. Exposure and the state of `bench` select the sets that are played.
     ///
     /// # Errors
     ///
-    /// [`CameraError::Absent`] where the dataset cannot be opened or has no frames.
+    /// [`CameraError::Absent`] if the dataset cannot be opened or has no frames.
     pub fn open(path: &Path, bench: SharedBench) -> Result<Self, CameraError> {
         let absent =
             |message: String| CameraError::Absent { camera: format!("replay:{}", path.display()), message };
@@ -87,7 +87,7 @@ impl ReplayCamera {
         })
     }
 
-    /// Whether a set was taken with the settings in force.
+    /// Returns true if a set was taken with the current settings.
     fn matches(&self, set: usize, bench: &BenchState) -> bool {
         let row = self.dataset.settings(&self.dataset.sets()[set]);
         let dark = bench.illumination == 0.0;
@@ -103,7 +103,7 @@ impl ReplayCamera {
     }
 }
 
-/// Equal to a millionth: what survives the way through text.
+/// Returns true if two values agree to a millionth, the precision that survives conversion to text.
 fn close(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-6 * a.abs().max(b.abs())
 }

@@ -1,4 +1,4 @@
-//! The simulator as a camera.
+//! Simulator as a camera.
 
 use super::{
     Backend, Bounds, Camera, CameraError, Capabilities, FrameStream, Identity, Listed, Settings,
@@ -13,11 +13,11 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Simulated cameras.
+/// Backend for simulated cameras.
 pub const BACKEND: Backend =
     Backend { name: "sim", takes: "SENSOR", open: |name| Ok(Box::new(SimCamera::open(name, None)?)), list };
 
-/// The sensors that come with radcam.
+/// Lists the sensors that come with radcam.
 fn list() -> Vec<Listed> {
     let of = |(name, text): &(&str, &str)| {
         let model = Model::from_toml(text).ok()?;
@@ -32,11 +32,12 @@ fn list() -> Vec<Listed> {
     sensors::ALL.iter().filter_map(of).collect()
 }
 
-/// The model of a sensor by its name (`xc77`, `cmos12`, `ccd16`) or from a model file; with another seed, another specimen.
+/// Loads the model of a sensor by name (`xc77`, `cmos12`, `ccd16`) or from a model file. Another seed gives
+/// another specimen.
 ///
 /// # Errors
 ///
-/// In words: no such sensor or file, or what is wrong with the file.
+/// Message: no such sensor or file, or the fault in the file.
 pub fn model(name: &str, seed: Option<u64>) -> Result<Model, String> {
     let mut model = if sensors::get(name).is_some() {
         sensors::load(name).map_err(|e| e.to_string())?
@@ -54,25 +55,26 @@ pub fn model(name: &str, seed: Option<u64>) -> Result<Model, String> {
     Ok(model)
 }
 
-/// The state of a simulated bench, shared with the camera that looks at it.
+/// State of a simulated bench, shared with the camera in front of it.
 #[derive(Debug, Clone, Default)]
 pub struct SharedBench(Arc<Mutex<BenchState>>);
 
 impl SharedBench {
-    /// How it stands.
+    /// Returns the state of the bench.
     pub fn get(&self) -> BenchState {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Moves it.
+    /// Sets the state of the bench.
     pub fn set(&self, state: BenchState) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = state;
     }
 }
 
-/// A camera that draws its frames.
+/// Camera that draws its frames.
 ///
-/// Its clock is simulated: a frame takes its exposure and the sensor's read-out time, whatever the machine needs.
+/// The clock is simulated: a frame takes its exposure plus the sensor's read-out time, whatever the computing
+/// time.
 #[derive(Debug)]
 pub struct SimCamera {
     identity: Identity,
@@ -84,14 +86,14 @@ pub struct SimCamera {
     clock: Clock,
 }
 
-/// Which frame is drawn next, and when.
+/// Number and time of the next frame.
 #[derive(Debug, Clone, Copy, Default)]
 struct Clock {
     frame: u64,
     time_s: f64,
 }
 
-/// Formats in which a converter of so many bits can hand out its codes.
+/// Returns the formats in which a converter of `bit_depth` bits can output its codes.
 pub fn formats_of(bit_depth: u8) -> Vec<PixelFormat> {
     let mono = |f: &PixelFormat| f.name().starts_with("Mono");
     let native =
@@ -99,8 +101,8 @@ pub fn formats_of(bit_depth: u8) -> Vec<PixelFormat> {
     PixelFormat::all().filter(mono).filter(|f| f.bits() == native || f.bits() == 8).collect()
 }
 
-/// Codes of a `bit_depth` converter as a format of `bits` hands them out: the low bits are cut off where
-/// the format has fewer.
+/// Converts codes of a `bit_depth` converter to a format of `bits`: the low bits are dropped if the format
+/// has fewer.
 pub fn narrow(dn: &mut [u16], bit_depth: u8, bits: u8) {
     if bits < bit_depth {
         dn.iter_mut().for_each(|d| *d >>= bit_depth - bits);
@@ -108,11 +110,11 @@ pub fn narrow(dn: &mut [u16], bit_depth: u8, bits: u8) {
 }
 
 impl SimCamera {
-    /// A camera of a sensor by name or from a model file, before a bench of its own: see [`model`].
+    /// Opens a camera of a sensor by name or from a model file, with a bench of its own: see [`model`].
     ///
     /// # Errors
     ///
-    /// [`CameraError::Absent`] where there is no such sensor, or its file is no model.
+    /// [`CameraError::Absent`] if there is no such sensor, or its file is not a model.
     pub fn open(name: &str, seed: Option<u64>) -> Result<Self, CameraError> {
         let absent = |message: String| CameraError::Absent { camera: format!("sim:{name}"), message };
         let model = model(name, seed).map_err(absent)?;
@@ -120,7 +122,7 @@ impl SimCamera {
         Ok(Self::new(name, sensor.into(), SharedBench::default()))
     }
 
-    /// A camera of this sensor before this bench.
+    /// Creates a camera of this sensor in front of this bench.
     pub fn new(name: &str, sensor: Arc<Sensor>, bench: SharedBench) -> Self {
         let model = sensor.model();
         let body = &model.camera;
@@ -168,7 +170,7 @@ impl SimCamera {
         }
     }
 
-    /// The sensor.
+    /// Returns the sensor.
     pub fn sensor(&self) -> &Sensor {
         &self.sensor
     }
@@ -178,7 +180,7 @@ impl SimCamera {
     }
 }
 
-/// The conditions of a frame from camera settings and bench.
+/// Returns the conditions of a frame for camera settings and bench.
 pub fn conditions(sensor: &Sensor, settings: &Settings, bench: &BenchState) -> Conditions {
     let nominal = sensor.conditions(settings.exposure_s);
     Conditions {

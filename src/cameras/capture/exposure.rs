@@ -1,4 +1,4 @@
-//! The exposures of a plan in seconds: the one that brings the light close to full scale is searched for.
+//! Exposures of a plan in seconds, with a search for the one that brings the light close to full scale.
 
 use super::{Capture, CaptureError};
 use crate::camera::StreamCounts;
@@ -6,18 +6,18 @@ use crate::dataset::Kind;
 use crate::frame::{Frame, Status};
 use crate::plan::{FULL_EXPOSURE_LEVEL, Plan, SetPlan};
 
-/// Frames that are discarded before a level that is to follow a known one, after the search for the exposure and where a set is begun again.
-/// A filter that keeps a third of the last frame has forgotten it to one part in 10^7.
+/// Frames discarded before a level that must follow a known one: after the search for the exposure, and when
+/// a set restarts. A filter that keeps a third of the last frame has decayed to one part in 10^7.
 pub(super) const SETTLING: usize = 16;
 
-/// The longest exposure of sets with light, s.
+/// Returns the longest exposure of sets with light, s.
 fn longest_flat(plan: &Plan, full: f64) -> f64 {
     let lit = plan.sets.iter().filter(|s| s.kind != Kind::Dark);
     lit.map(|s| s.exposure_s.unwrap_or(s.exposure.unwrap_or(1.0) * full)).fold(0.0, f64::max)
 }
 
-/// By what long darks are shortened together, so that the longest is within the camera's bounds and they stay apart; exposures given in
-/// seconds stay as they are.
+/// Returns the common factor that shortens long darks, so that the longest is within the camera's bounds and
+/// they stay distinct. Exposures given in seconds are not changed.
 fn shrink(plan: &Plan, full: f64, longest_flat: f64, max: f64) -> f64 {
     if plan.sets.iter().any(|s| s.exposure_s.is_some_and(|e| e > longest_flat)) {
         return 1.0;
@@ -34,16 +34,16 @@ fn shrink(plan: &Plan, full: f64, longest_flat: f64, max: f64) -> f64 {
     shrink
 }
 
-/// Number of the frames of the search, which no campaign reaches.
+/// Frame number of search frames, beyond the frames of any campaign.
 const PILOT_FRAME: u64 = 1 << 31;
 
 impl Capture<'_> {
-    /// Gives every exposure in seconds; measures the full exposure where the plan needs it.
+    /// Converts every exposure to seconds; measures the full exposure if the plan needs it.
     pub(super) fn absolute(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<Plan, CaptureError> {
         let known = match plan.full_exposure_s {
             Some(full) => Some(full),
             None if plan.needs_full_exposure() => Some(self.search(plan, counts)?),
-            // Every exposure is given in seconds: none counts as 1.
+            // Every exposure is given in seconds, so no exposure counts as 1.
             None => None,
         };
         let full = known.unwrap_or(1.0);
@@ -74,7 +74,7 @@ impl Capture<'_> {
         Ok(absolute)
     }
 
-    /// Finds the full exposure, and lets what was exposed for it fade under the first set's light.
+    /// Finds the full exposure, then lets the memory of the search frames fade under the first set's light.
     pub(super) fn search(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<f64, CaptureError> {
         let full = self.find_full_exposure(plan, counts)?;
         if let Some(first) = plan.sets.first() {
@@ -83,7 +83,8 @@ impl Capture<'_> {
         Ok(full)
     }
 
-    /// The exposure that brings the card at illumination 1 to [`FULL_EXPOSURE_LEVEL`] of full scale.
+    /// Finds the exposure that brings the card to [`FULL_EXPOSURE_LEVEL`] of full scale, at the highest
+    /// illumination of the plan's flats (1 without flats).
     fn find_full_exposure(&mut self, plan: &Plan, counts: &mut StreamCounts) -> Result<f64, CaptureError> {
         let reference = plan.sets.iter().filter(|s| s.kind == Kind::Flat);
         let light = reference.map(|s| s.illumination).fold(0.0, f64::max);
@@ -103,7 +104,7 @@ impl Capture<'_> {
         let settings = self.camera.settings()?;
         let full_scale = f64::from(settings.pixel_format.full_scale_dn());
         let target = FULL_EXPOSURE_LEVEL * full_scale;
-        // The level of no light, by the shortest exposure.
+        // Level without light, from the shortest exposure.
         let black = self.pilot(bounds.min, counts)?.0;
         let mut exposure = settings.exposure_s.clamp(bounds.min, bounds.max);
         let mut fastest = 0.0;
@@ -116,13 +117,13 @@ impl Capture<'_> {
                     full_scale_dn = full_scale,
                     "the signal stops below full scale: the well is full; exposures end there"
                 );
-                // How fast the well fills shows at a third of that.
+                // The fill rate of the well is measured at a third of the exposure that fills it.
                 let third = bounds.nearest(0.3 * (mean - black) / fastest);
                 let (level, _) = self.pilot(third, counts)?;
                 let fastest = f64::max(fastest, (level - black) / third);
                 return Ok(bounds.nearest(1.05 * (mean - black) / fastest));
             }
-            // Of levels that stand out from black: below them offsets and zero make the rate.
+            // Only levels well above black count: below them offsets and zero determine the rate.
             if mean - black > 0.02 * full_scale && clipped <= 0.01 {
                 fastest = f64::max(fastest, rate);
             }
@@ -130,7 +131,7 @@ impl Capture<'_> {
             let next = if clipped > 0.01 {
                 exposure / 4.0
             } else {
-                // Never more than 8 times at once: near black the estimate is coarse.
+                // At most a factor of 8 per step: near black the estimate is coarse.
                 exposure * ((target - black) / (mean - black).max(1e-3 * full_scale)).clamp(0.1, 8.0)
             };
             let next = bounds.nearest(next);
@@ -146,8 +147,8 @@ impl Capture<'_> {
         Ok(exposure)
     }
 
-    /// Exposes frames under a set's light without keeping them, until what stood before has faded: lag and filters carry it into the first
-    /// frames else.
+    /// Exposes frames under a set's light and discards them, until the previous level has faded. Otherwise
+    /// lag and filters carry it into the first frames.
     pub(super) fn expose(
         &mut self,
         set: &SetPlan,
@@ -162,12 +163,13 @@ impl Capture<'_> {
         Ok(())
     }
 
-    /// Mean and share of clipped pixels of a frame at an exposure; the first frame is discarded.
+    /// Returns the mean and the share of clipped pixels of a frame at an exposure. The first frame is
+    /// discarded.
     fn pilot(&mut self, exposure_s: f64, counts: &mut StreamCounts) -> Result<(f64, f64), CaptureError> {
         self.camera.set_exposure_s(exposure_s)?;
         let full_scale = self.camera.settings()?.pixel_format.full_scale_dn();
         let timeout = crate::camera::patience(exposure_s);
-        // A simulated camera then finds the same exposure each time; its clock is told again before each set.
+        // A simulated camera then finds the same exposure each time. Its clock is set again before each set.
         self.camera.draw_from(PILOT_FRAME, 1.0);
         let mut stream = self.camera.stream(&self.options)?;
         let mut frame = Frame::new(0, 0);

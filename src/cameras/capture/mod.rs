@@ -1,4 +1,4 @@
-//! Runs a plan on a camera and a bench, and keeps what comes.
+//! Runs a plan on a camera and a bench, and stores the frames.
 
 mod exposure;
 mod set;
@@ -18,20 +18,20 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-/// Why a capture stopped. What was written before stays whole.
+/// Reason why a capture stopped. Data written before stays intact.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CaptureError {
-    /// The camera.
+    /// Camera error.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The bench.
+    /// Bench error.
     #[error(transparent)]
     Bench(#[from] BenchError),
-    /// The disk.
+    /// Dataset or disk error.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// The plan.
+    /// Plan error.
     #[error("plan: {0}")]
     Plan(#[from] PlanError),
     /// Too many damaged frames in one set.
@@ -43,20 +43,20 @@ pub enum CaptureError {
         damaged: u64,
         /// Frames the plan asks for.
         wanted: u32,
-        /// What was wrong with the last one.
+        /// Fault of the last one.
         last: String,
-        /// What to do.
+        /// Advice.
         advice: &'static str,
     },
-    /// The dataset to be continued is not of this camera or this plan.
+    /// The dataset to be continued belongs to another camera or another plan.
     #[error("cannot continue {path}: {message}")]
     Resume {
-        /// The folder.
+        /// Folder.
         path: String,
-        /// What differs.
+        /// Differences, or the fault.
         message: String,
     },
-    /// The user asked for the end.
+    /// The user stopped the capture.
     #[error("interrupted; {frames} frames are kept, continue with --resume")]
     Interrupted {
         /// Frames on disk.
@@ -64,7 +64,7 @@ pub enum CaptureError {
     },
 }
 
-/// How far a capture is.
+/// Progress of a capture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
     /// Frames on disk.
@@ -73,29 +73,29 @@ pub struct Progress {
     pub of: u64,
     /// Bytes of a frame in memory.
     pub frame_bytes: u64,
-    /// Set at work.
+    /// Number of the current set.
     pub set: usize,
     /// Sets of the plan.
     pub sets: usize,
 }
 
-/// What a capture did.
+/// Result of a capture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Summary {
-    /// Frames written now.
+    /// Frames written by this run.
     pub frames: u64,
-    /// Sums over the streams.
+    /// Counts summed over the streams.
     pub counts: StreamCounts,
-    /// Automatic functions and what became of them.
+    /// Automatic functions and their final state.
     pub automatics: Vec<Automatic>,
     /// Exposure that counts as 1, s.
     pub full_exposure_s: Option<f64>,
-    /// Device time at the start of the campaign, ns, where it is known.
+    /// Device time at the start of the campaign, ns, if known.
     pub zero_ns: Option<i64>,
 }
 
-/// Everything that is done around the frames.
+/// Capture of a plan: camera, bench, options and callbacks.
 pub struct Capture<'a> {
     /// The camera.
     pub camera: &'a mut dyn Camera,
@@ -103,39 +103,39 @@ pub struct Capture<'a> {
     pub bench: &'a mut dyn Illuminator,
     /// Stream options.
     pub options: StreamOptions,
-    /// Set from outside to stop after the frame in flight.
+    /// Flag set from outside to stop after the frame in flight.
     pub stop: &'a AtomicBool,
-    /// Told after each frame.
+    /// Callback after each frame.
     pub progress: Option<&'a mut dyn FnMut(Progress)>,
-    /// Shown each frame that is kept.
+    /// Callback with each frame that is kept.
     pub shown: Option<&'a mut dyn FnMut(&Frame)>,
 }
 
-/// Name of the log inside a dataset: one line a run, with the buffer statistics.
+/// Name of the log inside a dataset: one line per run, with the buffer statistics.
 pub const LOG_FILE: &str = "capture.log";
 
-/// Name of the plan inside a dataset, exposures in seconds, by which it is continued.
+/// Name of the plan inside a dataset, with exposures in seconds; a campaign is continued from it.
 pub const PLAN_FILE: &str = "plan.toml";
 
-/// The state of one run.
+/// State of one run.
 struct Run {
     writer: Writer,
     clock: DeviceClock,
     counts: StreamCounts,
-    /// Sets that were begun again, once for each time.
+    /// Sets that were restarted, one entry per restart.
     begun_again: Vec<usize>,
-    /// Frames that are on disk are exposed again and discarded: the camera draws the same ones.
+    /// True if frames on disk are exposed again and discarded, because the camera draws the same ones.
     again: bool,
 }
 
 impl Run {
-    /// Frames of a set that are on disk.
+    /// Returns the number of frames of a set on disk.
     fn have(&self, number: usize) -> u32 {
         self.writer.written().iter().filter(|r| r.set as usize == number).count() as u32
     }
 
-    /// Number of the first frame of a set within the campaign, and its time, s: after the exposure of the
-    /// frame before.
+    /// Returns the number of a set's first frame within the campaign, and its time, s: the end of the
+    /// previous frame's exposure.
     fn start_of(&self, number: usize, plan: &Plan) -> (u64, f64) {
         let settle = u64::from(plan.camera.settle_frames);
         let first = plan.sets[..number].iter().map(|set| u64::from(set.frames) + settle).sum();
@@ -143,18 +143,18 @@ impl Run {
         (first, before.and_then(|r| Some(r.timestamp_s? + r.exposure_s)).unwrap_or(0.0))
     }
 
-    /// Time since the campaign's start by the computer's clock: the last frame was written right after its
-    /// exposure. `None` where there is none.
+    /// Returns the time since the start of the campaign, s, by the computer's clock: the last frame was
+    /// written right after its exposure. `None` if there is no such frame or time.
     fn since_the_start(&self, root: &Path) -> Option<f64> {
         let last = self.writer.written().last()?;
         let file = last.file.split('#').next()?;
         let written = std::fs::metadata(root.join(file)).and_then(|m| m.modified()).ok()?;
-        // A clock that was set back meanwhile: the pause counts as none.
+        // If the clock was set back meanwhile, the pause counts as zero.
         let pause = written.elapsed().unwrap_or_default();
         Some(last.timestamp_s? + last.exposure_s + pause.as_secs_f64())
     }
 
-    /// What is kept of it beside the frames. `searched`: the full exposure that was searched for, s.
+    /// Returns the log entry of the run. `searched`: full exposure found by the search, s.
     fn log(&self, searched: Option<f64>, frames: u64, outcome: &Result<(), CaptureError>) -> String {
         let mut out = String::new();
         if let Some(full_s) = searched {
@@ -175,11 +175,11 @@ impl Run {
     }
 }
 
-/// Of a capture that nobody stops.
+/// Stop flag of a capture that nobody stops.
 static NEVER: AtomicBool = AtomicBool::new(false);
 
 impl<'a> Capture<'a> {
-    /// With the usual stream options, uninterrupted and without a word.
+    /// Creates a capture with the default stream options, without stop flag and callbacks.
     pub fn new(camera: &'a mut dyn Camera, bench: &'a mut dyn Illuminator) -> Self {
         Self { camera, bench, options: StreamOptions::default(), stop: &NEVER, progress: None, shown: None }
     }
@@ -188,22 +188,22 @@ impl<'a> Capture<'a> {
     ///
     /// # Errors
     ///
-    /// What camera, bench, disk or plan refuse, a set with too many damaged frames, or that it was stopped.
-    /// What was written before stays whole, and [`resume`](Self::resume) goes on with it.
+    /// An error of camera, bench, disk or plan, a set with too many damaged frames, or a stop by the user.
+    /// Data written before stays intact, and [`resume`](Self::resume) continues it.
     pub fn run(&mut self, plan: &Plan, root: &Path) -> Result<Summary, CaptureError> {
         self.start(Some(plan), root)
     }
 
-    /// Goes on with a capture where it stopped, by its own plan.
+    /// Continues a capture where it stopped, by its own plan.
     ///
     /// # Errors
     ///
-    /// As [`run`](Self::run), and where camera or settings are not those of the capture.
+    /// As [`run`](Self::run), and if camera or settings are not those of the capture.
     pub fn resume(&mut self, root: &Path) -> Result<Summary, CaptureError> {
         self.start(None, root)
     }
 
-    /// Captures a plan into a new folder, or goes on there where none is given.
+    /// Captures a plan into a new folder, or continues there if none is given.
     fn start(&mut self, plan: Option<&Plan>, root: &Path) -> Result<Summary, CaptureError> {
         let unlisted = self.camera.unlisted_features();
         if !unlisted.is_empty() {
@@ -218,7 +218,7 @@ impl<'a> Capture<'a> {
         let (automatics, writer, plan) = match plan {
             None => self.reopen(Folder::existing(root)?, root)?,
             Some(plan) => {
-                // Before the camera moves: another capture may have begun here.
+                // Checked before camera and bench are touched: another capture may have begun here.
                 let held = Folder::hold(root)?;
                 held.must_be_free(root, &[PLAN_FILE])?;
                 let automatics = self.set_up(plan)?;
@@ -226,7 +226,7 @@ impl<'a> Capture<'a> {
                 self.begin(held, root, plan, automatics)?
             }
         };
-        // The device may have been switched off since, and how long the pause was is not known.
+        // The device may have been switched off since, and the length of the pause is unknown.
         let began = !resume || writer.written().is_empty();
         let clock = if began { DeviceClock::FromFirstFrame } else { DeviceClock::Unknown };
         let again = resume && self.camera.draws_again();
@@ -239,24 +239,24 @@ impl<'a> Capture<'a> {
         self.carry_out(run, &plan, root, automatics, searched)
     }
 
-    /// Finds the full exposure of a plan that needs it, with everything as a capture has it, and gives every
-    /// exposure in seconds: what a campaign will take can then be said before it starts.
+    /// Sets everything up as for a capture, finds the full exposure of a plan that needs it, and converts
+    /// every exposure to seconds. The frames of a campaign can then be announced before it starts.
     ///
     /// # Errors
     ///
-    /// What the camera, the bench or the plan refuse.
+    /// An error of the camera, the bench or the plan.
     pub fn ready(&mut self, plan: &Plan) -> Result<Plan, CaptureError> {
         self.set_up(plan)?;
         self.absolute(plan, &mut StreamCounts::default())
     }
 
-    /// Adds the sets of another plan to a campaign that is complete, under its settings and with its full
-    /// exposure: one campaign in the order of time. `zero_ns` is what its summary said, where this is the
-    /// same run of the camera.
+    /// Adds the sets of another plan to a complete campaign, under its settings and with its full exposure:
+    /// one campaign in order of time. `zero_ns` is the value of its summary, if the camera has run since
+    /// without a restart.
     ///
     /// # Errors
     ///
-    /// As [`run`](Self::run), and where the folder is no campaign of this camera.
+    /// As [`run`](Self::run), and if the folder is not a campaign of this camera.
     pub fn extend(
         &mut self,
         more: &Plan,
@@ -268,7 +268,7 @@ impl<'a> Capture<'a> {
         let held = Folder::existing(root)?;
         let text = crate::input::settings(&path).map_err(|e| fault(e.to_string()))?;
         let mut plan = Plan::from_toml(&text)?;
-        // A campaign whose exposures were given in seconds has none that counts as 1: the search finds it.
+        // A campaign with all exposures in seconds has no full exposure: the search finds it.
         let mut counts = StreamCounts::default();
         let more =
             self.absolute(&Plan { full_exposure_s: plan.full_exposure_s, ..more.clone() }, &mut counts)?;
@@ -281,7 +281,7 @@ impl<'a> Capture<'a> {
         self.carry_out(run, &plan, root, automatics, None)
     }
 
-    /// Takes what is not there yet, and keeps the log. `searched`: the full exposure that was searched for, s.
+    /// Captures the missing frames, and writes the log. `searched`: full exposure found by the search, s.
     fn carry_out(
         &mut self,
         mut run: Run,
@@ -293,7 +293,7 @@ impl<'a> Capture<'a> {
         let before = run.writer.written().len() as u64;
         if matches!(run.clock, DeviceClock::Unknown) {
             let start = run.writer.written().last().and_then(|r| r.timestamp_s).unwrap_or(0.0);
-            // A thousand frames more than were kept: the pilot and damaged frames were drawn too.
+            // 1000 more than the frames kept: the pilot and damaged frames were drawn too.
             if self.camera.continue_after(before + 1000, start + 1.0) {
                 run.clock = DeviceClock::Zero(0);
             } else if let Some(seconds) = run.since_the_start(root) {
@@ -309,7 +309,7 @@ impl<'a> Capture<'a> {
             tracing::warn!(error = %e, "the buffer statistics could not be kept");
         }
         outcome?;
-        // A campaign of pairs is one of EMVA 1288: the reference tool reads it too.
+        // A campaign of pairs is one of EMVA 1288: its descriptor lets the reference tool read it.
         if let Some(path) = crate::dataset::write_descriptor(&Dataset::open(root)?)? {
             tracing::info!(file = %path.display(), "EMVA 1288 descriptor");
         }
@@ -318,8 +318,8 @@ impl<'a> Capture<'a> {
         Ok(Summary { frames, counts: run.counts, automatics, full_exposure_s, zero_ns })
     }
 
-    /// Switches off what distorts radiometry, brings the camera to the plan's settings, and switches off what
-    /// these have made available; last come the features that the plan names, whatever they do.
+    /// Switches off features that distort radiometry, applies the plan's settings, and switches off features
+    /// that these made available. Features named in the plan are set last, whatever they do.
     fn set_up(&mut self, plan: &Plan) -> Result<Vec<Automatic>, CaptureError> {
         let first = self.camera.disable_automatics()?;
         self.settings_of(plan)?;
@@ -353,7 +353,7 @@ impl<'a> Capture<'a> {
         let camera = &mut *self.camera;
         let wanted = &plan.camera;
         let deepest = camera.capabilities().pixel_formats.iter().copied().max_by_key(|f| {
-            // The deepest, and of equal ones the one whose bytes need no unpacking.
+            // The deepest format; of equal ones the one whose bytes need no unpacking.
             (f.bits(), f.bits_per_pixel())
         });
         if let Some(format) = wanted.pixel_format.or(deepest) {
@@ -394,7 +394,7 @@ impl<'a> Capture<'a> {
         for a in automatics {
             features.insert(a.feature.clone(), Value::Text(a.now.clone()));
         }
-        // Set last, and read back then.
+        // Features of the plan were set last, and read back then.
         for (name, value) in &plan.camera.features {
             features.insert(
                 name.clone(),
@@ -418,7 +418,7 @@ impl<'a> Capture<'a> {
         Ok(manifest)
     }
 
-    /// Begins a dataset with a plan whose exposures are in seconds.
+    /// Starts a dataset for a plan whose exposures are in seconds.
     fn begin(
         &mut self,
         held: Folder,
@@ -438,7 +438,7 @@ impl<'a> Capture<'a> {
         let text =
             crate::input::settings(&plan_path).map_err(|e| fault(format!("{}: {e}", plan_path.display())))?;
         let mut plan = Plan::from_toml(&text)?;
-        // Killed after the plan and before the manifest, which comes last.
+        // Interrupted after the plan and before the manifest, which is written last.
         if !root.join("dataset.toml").exists() {
             let automatics = self.set_up(&plan)?;
             return self.begin(held, root, plan, automatics);
@@ -468,7 +468,7 @@ impl<'a> Capture<'a> {
                 was.width, was.height, region.width, region.height
             )));
         }
-        // After a power cycle a camera may have come back with other settings than a plan names.
+        // After a power cycle, settings that the plan does not name may have changed.
         let now = self.manifest(&plan, &automatics)?;
         let differs = manifest.differences(&now);
         if !differs.is_empty() {

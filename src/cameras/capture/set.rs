@@ -1,4 +1,4 @@
-//! The frames of one set.
+//! Capture of the frames of one set.
 
 use super::{Capture, CaptureError, Progress, Run};
 use crate::camera::{CameraError, FrameStream, Settings};
@@ -8,16 +8,16 @@ use crate::plan::{Plan, SetPlan};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// A set whose first frame was lost is begun again so often: another set's light and exposure first, since
-/// the frame that was lost took with it what that carries over.
+/// Maximum number of restarts of a set whose first frame was lost. The previous set's light and exposure are
+/// repeated first: the lost frame carried the memory of them.
 const AGAIN: usize = 3;
 
-/// Time of a campaign's start by a clock that is told, s: a device time of 0 says that there is none.
+/// Campaign start on a camera clock that radcam sets, s. Not 0, because a device time of 0 means no time.
 const ZERO_S: f64 = 1.0;
 
 impl Capture<'_> {
-    /// Takes the frames of a set that are not there yet. Where the first is lost the set before is exposed
-    /// once more and the set begun again.
+    /// Captures the missing frames of a set. If the first one is lost, the previous set is exposed once more
+    /// and the set restarts.
     pub(super) fn capture_set(
         &mut self,
         number: usize,
@@ -28,8 +28,8 @@ impl Capture<'_> {
         if run.have(number) >= set.frames && !run.again {
             return Ok(());
         }
-        // An operator is not asked to move the light for it; frames that are discarded at the start of each
-        // set are no transition.
+        // An operator is not asked to move the light for a restart. With settling frames, which are
+        // discarded, a set does not begin at a transition.
         let before = number.checked_sub(1).map(|k| &plan.sets[k]);
         let before = before.filter(|b| self.bench.moves_itself() || b.bench() == set.bench());
         let before = before.filter(|_| plan.camera.settle_frames == 0);
@@ -44,7 +44,7 @@ impl Capture<'_> {
         self.attempt(number, plan, run, false).map(drop)
     }
 
-    /// `false`, and no frame, where the first was lost and sets are to be `whole`.
+    /// Attempts a set once. Returns `false`, with no frame, if the first was lost and `whole` is set.
     fn attempt(
         &mut self,
         number: usize,
@@ -59,8 +59,8 @@ impl Capture<'_> {
         let reached = self.bench.apply(&set.bench(), self.camera)?;
         let exposure_s = self.camera.set_exposure_s(set.exposure_s.unwrap_or(1.0))?;
         let settings = self.camera.settings()?;
-        // Frames of the set that are on disk are then drawn again and discarded: whatever was interrupted,
-        // each frame and its time are the same.
+        // A camera that accepts the frame number draws the frames on disk again, and they are discarded. Each
+        // frame and its time are then the same, whatever was interrupted.
         let (first, time_s) = run.start_of(number, plan);
         let told = self.camera.draw_from(first, ZERO_S + time_s);
         if told {
@@ -88,29 +88,30 @@ impl Capture<'_> {
     }
 }
 
-/// What is known of the set being taken.
+/// Parameters of the set being captured.
 struct TakeSet<'a> {
     number: usize,
     set: &'a SetPlan,
     plan: &'a Plan,
     exposure_s: f64,
-    /// As the bench says it stands.
+    /// Illumination that the bench reports.
     illumination: f64,
     settings: &'a Settings,
     stop: &'a AtomicBool,
-    /// Whether the first frame must be the first that was exposed.
+    /// True if the first frame must be the first that was exposed.
     whole: bool,
-    /// Frames that are on disk come again.
+    /// True if frames that are on disk come again.
     again: bool,
 }
 
-/// Who is told of what is taken.
+/// Callbacks for progress and for captured frames.
 struct Tell<'a> {
     progress: &'a mut dyn FnMut(Progress),
     shown: &'a mut dyn FnMut(&Frame),
 }
 
-/// `false`, and nothing written, where that is asked for and cannot be had.
+/// Captures the frames of a set. Returns `false`, with nothing written, if `whole` is set and the first frame
+/// is damaged.
 fn take(
     stream: &mut dyn FrameStream,
     job: &TakeSet<'_>,
@@ -198,18 +199,18 @@ fn take(
     Ok(true)
 }
 
-/// Turns device time into seconds from the start of the campaign.
+/// Converter from device time to seconds since the start of the campaign.
 pub(super) enum DeviceClock {
     FromFirstFrame,
-    /// Seconds since the start at an instant, by the computer's clock.
+    /// Seconds since the start at an instant of the computer's clock.
     At(f64, Instant),
-    /// Device time at the start of the campaign, ns; before 0 where the camera was switched on since.
+    /// Device time at the start of the campaign, ns; negative if the camera was switched on since.
     Zero(i64),
     Unknown,
 }
 
 impl DeviceClock {
-    /// `None` where it is not known.
+    /// Returns the seconds since the start; `None` if unknown.
     pub(super) fn seconds(&mut self, timestamp_ns: Option<u64>) -> Option<f64> {
         let now = timestamp_ns?;
         let zero = match *self {
@@ -226,7 +227,7 @@ impl DeviceClock {
                 zero
             }
         };
-        // Nanoseconds, and no rubbish behind them in the file.
+        // Whole nanoseconds leave no rounding digits in the file.
         Some((now as i64).saturating_sub(zero) as f64 * 1e-9)
     }
 }

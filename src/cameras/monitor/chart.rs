@@ -1,39 +1,43 @@
-//! A reading over time, and whether it changed.
+//! Change-point test on the time series of a reading.
 //!
-//! Neither the usual value of a reading nor its scatter is known beforehand: both are estimated from the same history in which a change is looked
-//! for. For every check since which the change may be, the mean m1 of the n1 readings since then is held against the mean m0 of the n0 readings
-//! before. With v = 1/n0 + 1/n1 and a known scatter sigma, (m1 - m0) / sigma is normal of variance v, and the logarithm of the ratio of its
-//! likelihoods with a change by d sigma and without one is
+//! Neither the baseline of a reading nor its scatter is known beforehand: both are estimated from the history
+//! that is searched for a change. For every candidate change point, the mean m1 of the n1 readings since then
+//! is compared with the mean m0 of the n0 readings before. With v = 1/n0 + 1/n1 and a known scatter sigma,
+//! (m1 - m0) / sigma is normal with variance v. The log-likelihood ratio of a change by d sigma against no
+//! change is
 //!
 //! ```text
 //! d (m1 - m0) / (sigma v) - d^2 / (2 v)
 //! ```
 //!
-//! This is the likelihood ratio of what does not depend on the unknown usual value (the maximal invariant under shifts; Lehmann and Romano 2005,
-//! Testing Statistical Hypotheses, section 6.3). Without a change such a ratio has mean 1 at every check, whatever n0: the largest of those that
-//! begin at each check passes e^h on average not before e^h checks (Lorden 1971, Procedures for reacting to a change in distribution, Annals of
-//! Mathematical Statistics 42; the sum over beginnings less their number is a martingale). The scatter is estimated as well: the t of n0 + n1 - 2
-//! degrees of freedom is brought to the normal scale (Wallace 1959, Bounds on normal approximations to Student's and the chi-square
-//! distributions, Annals of Mathematical Statistics 30).
+//! This is the likelihood ratio of the maximal invariant under shifts, which does not depend on the unknown
+//! baseline (Lehmann and Romano 2005, Testing Statistical Hypotheses, section 6.3). Without a change the
+//! ratio has mean 1 at every check, for any n0. The largest of the ratios that begin at each check therefore
+//! passes e^h on average not before e^h checks (Lorden 1971, Procedures for reacting to a change in
+//! distribution, Annals of Mathematical Statistics 42; the sum over beginnings minus their number is a
+//! martingale). The scatter is estimated as well: the t statistic with n0 + n1 - 2 degrees of freedom is
+//! transformed to the normal scale (Wallace 1959, Bounds on normal approximations to Student's and the
+//! chi-square distributions, Annals of Mathematical Statistics 30).
 
 use super::check::Reading;
 use super::cusum;
 
-/// Fewest readings before a change.
+/// Minimum number of readings before a change.
 pub(super) const BEFORE: usize = 8;
-/// A change that matters may be many standard errors. A smaller one, of sqrt(2 h) by a single reading, is then as surely there; it must still be
-/// half of what matters.
+/// Returns the design shift, at most sqrt(2 h) standard errors: a relevant change may be many standard
+/// errors, and a shift of sqrt(2 h) is certain after a single reading. The observed change must still be half
+/// of the relevant one.
 fn designed(shift: f64, limit: f64) -> f64 {
     shift.min((2.0 * limit).sqrt())
 }
 
-/// Readings of the past, for means and scatter of any stretch of them.
+/// Past readings, with mean and scatter of any stretch of them.
 #[derive(Debug, Clone, Default)]
 pub struct Chart {
-    /// Which check each reading is of.
+    /// Check of each reading.
     checks: Vec<usize>,
     first: f64,
-    /// Sums over all readings up to each: the value less the first, its square, and the square of the stated error.
+    /// Cumulative sums of the value minus the first, its square, and the square of the stated error.
     sums: Vec<[f64; 3]>,
 }
 
@@ -44,30 +48,30 @@ pub struct Split {
     pub before: f64,
     /// Mean of the readings since.
     pub since: f64,
-    /// Scatter of a reading.
+    /// Scatter of a reading, standard deviation.
     pub std_err: f64,
-    /// How many there are of each.
+    /// Number of readings before and since.
     pub counts: (usize, usize),
 }
 
 impl Split {
-    /// 1 / n0 + 1 / n1.
+    /// Returns 1 / n0 + 1 / n1.
     fn variance(&self) -> f64 {
         1.0 / self.counts.0 as f64 + 1.0 / self.counts.1 as f64
     }
 
-    /// Difference with its error.
+    /// Returns the difference with its error.
     pub fn difference(&self) -> Reading {
         Reading { value: self.since - self.before, std_err: self.std_err * self.variance().sqrt() }
     }
 
-    /// Difference over the value before.
+    /// Returns the difference over the value before.
     pub fn relative(&self) -> Reading {
         let Reading { value, std_err } = self.difference();
         Reading { value: value / self.before, std_err: std_err / self.before.abs() }
     }
 
-    /// Logarithm of the ratio of likelihoods with a change by `step` and without; `None` where the change does not matter.
+    /// Returns the log-likelihood ratio of a change by `step` against none; `None` for an irrelevant change.
     fn score(&self, step: f64, limit: f64) -> Option<f64> {
         let difference = self.difference();
         if !(step > 0.0 && difference.value.abs() >= 0.5 * step) {
@@ -80,23 +84,23 @@ impl Split {
     }
 }
 
-/// The normal number that is as rare as a t of so many degrees of freedom (Wallace 1959).
+/// Converts a t statistic to the normal deviate of equal tail probability (Wallace 1959).
 fn normal_of(t: f64, dof: f64) -> f64 {
     (dof * (t * t / dof).ln_1p()).sqrt() * (8.0 * dof + 1.0) / (8.0 * dof + 3.0)
 }
 
 impl Chart {
-    /// Readings so far.
+    /// Returns the number of readings so far.
     pub fn len(&self) -> usize {
         self.checks.len()
     }
 
-    /// Which check each is of.
+    /// Returns the check of each reading.
     pub fn checks(&self) -> &[usize] {
         &self.checks
     }
 
-    /// Whether there is none.
+    /// Returns true if there are no readings.
     pub fn is_empty(&self) -> bool {
         self.checks.is_empty()
     }
@@ -113,24 +117,25 @@ impl Chart {
         self.sums.push([last[0] + d, last[1] + d * d, last[2] + reading.std_err.powi(2)]);
     }
 
-    /// The mean of all readings.
+    /// Returns the mean of all readings.
     pub fn mean(&self) -> Option<f64> {
         let n = self.len();
         (n > 0).then(|| self.first + self.sums[n][0] / n as f64)
     }
 
-    /// Which check the last reading but `n - 1` is of.
+    /// Returns the check of the n-th last reading.
     pub fn check(&self, n: usize) -> usize {
         self.checks.get(self.len().saturating_sub(n.max(1))).copied().unwrap_or(0)
     }
 
-    /// Before one check and since another, without those between; `None` where either is empty.
+    /// Splits into readings before one check and since another, without those between; `None` if either part
+    /// is empty.
     pub fn apart(&self, before: usize, since: usize) -> Option<Split> {
         let place = |check: usize| self.checks.partition_point(|c| *c < check);
         self.split(place(before), place(since))
     }
 
-    /// The first so many readings, and those from a place on.
+    /// Splits into the first `n0` readings and those from the index `from` on.
     fn split(&self, n0: usize, from: usize) -> Option<Split> {
         let n = self.len();
         if n0 == 0 || from < n0 || from >= n {
@@ -142,16 +147,17 @@ impl Chart {
         let (s0, s1) = (a[0], b[0] - m[0]);
         let squares = a[1] + b[1] - m[1];
         let within = (squares - s0 * s0 / n0f - s1 * s1 / n1f) / (n0f + n1f - 2.0).max(1.0);
-        // What checks scatter beyond their stated errors is the camera's and the room's.
+        // Scatter beyond the stated errors comes from the camera and the room.
         let stated = (a[2] + b[2] - m[2]) / (n0f + n1f);
         let std_err = within.max(stated).sqrt().max(f64::MIN_POSITIVE);
         let (before, since) = (self.first + s0 / n0f, self.first + s1 / n1f);
         Some(Split { before, since, std_err, counts: (n0, n1) })
     }
 
-    /// The check since which the reading most likely is another, where that is surely so; `step` is the change that matters of a usual value.
+    /// Returns the most likely change point if its score passes `limit`; `step` gives the relevant change for
+    /// a baseline.
     ///
-    /// The number of readings since then is tried from 1 on, in steps of a sixteenth of it.
+    /// Candidate numbers of readings since the change start at 1 and grow in steps of a sixteenth.
     pub fn changed(&self, step: impl Fn(f64) -> f64, limit: f64) -> Option<usize> {
         let mut best: Option<(f64, usize)> = None;
         let mut since = 1;
@@ -169,7 +175,8 @@ impl Chart {
         best.map(|(_, check)| check)
     }
 
-    /// Readings in which the change that matters will be found on average: with the usual value known, and as it is known now. Infinite: not yet.
+    /// Returns the mean number of readings to detect the relevant change: with a known baseline, and with its
+    /// present estimate. Infinite: not yet detectable.
     pub fn needed(&self, step: impl Fn(f64) -> f64, limit: f64) -> (f64, f64) {
         let n = self.len();
         let last = n.saturating_sub(1);
@@ -189,7 +196,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Against the distributions of statrs, from 7 degrees of freedom on and up to where h is passed: no more than 2 % off.
+    /// Compared with the distributions of statrs, from 7 degrees of freedom on, up to the scale of h: within
+    /// 2 %.
     #[test]
     fn a_t_is_as_rare_as_its_normal_number() {
         use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
@@ -213,8 +221,8 @@ mod tests {
         Reading { value, std_err: 1e-9 }
     }
 
-    /// 400 cameras that do not change, 1000 checks each, mean and scatter unknown, with a limit at which a sum may raise one alarm in 500: with
-    /// changes that matter of a fifth to eight standard errors no more do.
+    /// 400 unchanged cameras, 1000 checks each, mean and scatter unknown, limit set for one alarm in 500
+    /// checks: no more are raised, for relevant changes of a fifth to eight standard errors.
     #[test]
     fn false_alarms_are_as_rare_as_stated() {
         let limit = cusum::limit(1, 500.0);
@@ -236,7 +244,8 @@ mod tests {
         }
     }
 
-    /// A change by what matters is found after the number of readings that theory gives, and since when is right to within it.
+    /// A relevant change is detected after the number of readings given by theory; the change point is right
+    /// to within that number.
     #[test]
     fn changes_are_found_when_theory_says() {
         let limit = cusum::limit(14, 1e4);

@@ -1,4 +1,4 @@
-//! A check: some darks and some frames of a reference flat, and what they say of the camera.
+//! Readings of one check, from some darks and some frames of a reference flat.
 
 use crate::calibrate::file::Calibration;
 use crate::monitor::Limits;
@@ -8,21 +8,22 @@ use ndarray::{Array2, s};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A pixel of darks is taken for hot where it lies so many standard deviations above its reference.
+/// Threshold of hot pixels: standard deviations above the dark reference.
 const HOT_SIGMA: f64 = 6.0;
-/// A pixel of the flat is taken for dead where its corrected value lies beyond this factor from the mean ([`crate::calibrate::defects`]).
+/// Threshold of dead pixels: factor between the corrected value and the mean, either way
+/// ([`crate::calibrate::defects`]).
 const DEAD: f64 = 0.5;
-/// Standard errors below which the reference flat is too faint to divide by.
+/// Minimum signal of the reference flat as a divisor, in standard errors.
 const FAINT: f64 = 10.0;
-/// Least relative difference of the gain from the calibration's that is told: lag and filters of a camera bias
-/// two estimates differently.
+/// Smallest reported difference of the gain from the calibration, relative: lag and filters of a camera bias
+/// the two estimates differently.
 const MIN_GAIN_LIMIT: f64 = 0.05;
-/// Standard errors beyond the limit by which a reading differs from the calibration.
+/// Margin beyond a limit, in standard errors, for a difference from the calibration.
 const SIGMAS: f64 = 5.0;
-/// Pixels of a list: more are a camera that is broken otherwise.
+/// Maximum length of a pixel list: more pixels mean another fault of the camera.
 const LISTED: usize = 1000;
 
-/// What a check follows.
+/// Quantity followed by the checks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Followed {
@@ -36,16 +37,16 @@ pub enum Followed {
     Signal,
     /// Temporal variance of darks, DN^2.
     DarkNoise,
-    /// Variance of what K leaves of the pattern between neighbours, relative to the signal.
+    /// Variance between neighbours left after correction with K, relative to the signal.
     Pattern,
     /// Variance of the frame means of the flat, relative to the signal.
     Flicker,
-    /// Frames lost on the way.
+    /// Frames lost in transfer.
     LostFrames,
 }
 
 impl Followed {
-    /// Name with unit, for an axis.
+    /// Returns the name with its unit, for an axis.
     pub fn title(self) -> &'static str {
         match self {
             Self::BlackLevel => "Black level (DN)",
@@ -69,30 +70,30 @@ pub struct Reading {
     pub std_err: f64,
 }
 
-/// What a check says.
+/// Results of a check.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Check {
-    /// When it was taken, seconds since 1970.
+    /// Time of the check, seconds since 1970.
     pub time_s: f64,
     /// Exposure of flats and short darks, s.
     pub exposure_s: f64,
     /// Sensor temperature, degrees Celsius.
     pub temperature_c: Option<f64>,
-    /// Frames of the flat: degrees of freedom of the flicker are one less.
+    /// Frames of the flat; the flicker has one degree of freedom less.
     pub flats: u64,
-    /// Frames that came.
+    /// Frames received.
     pub frames: u64,
-    /// What it read.
+    /// Readings.
     pub readings: BTreeMap<Followed, Reading>,
-    /// Pixels (column, row) that are hot and were not when the camera was calibrated.
+    /// Pixels (column, row) that became hot after the calibration.
     pub hot: Vec<(u32, u32)>,
-    /// Pixels (column, row) that are dead and were not when the camera was calibrated.
+    /// Pixels (column, row) that became dead after the calibration.
     pub dead: Vec<(u32, u32)>,
 }
 
 impl Check {
-    /// Black level and gain that are not those of the calibration, in sentences. The monitor follows what changes
-    /// from check to check; a camera that differs from its calibration from the first check on does not change.
+    /// Compares black level and gain with the calibration; returns the differences as sentences. The monitor
+    /// follows changes from check to check, so it misses a difference that exists since the first check.
     pub fn against(&self, calibration: &Calibration, limits: &Limits) -> Vec<String> {
         let d = &calibration.description;
         let mut said = Vec::new();
@@ -111,7 +112,7 @@ impl Check {
     }
 }
 
-/// Frames of one kind, as they come.
+/// Statistics of the frames of one kind.
 #[derive(Debug, Clone)]
 pub struct Stack {
     moments: Moments,
@@ -119,7 +120,7 @@ pub struct Stack {
 }
 
 impl Stack {
-    /// For frames of (rows, columns) with codes of so many bits.
+    /// Creates a stack for frames of (rows, columns) with codes of `bit_depth` bits.
     pub fn new(shape: (usize, usize), bit_depth: u8) -> Self {
         Self { moments: Moments::new(shape, bit_depth), means_dn: Vec::new() }
     }
@@ -128,7 +129,7 @@ impl Stack {
     ///
     /// # Errors
     ///
-    /// Where its size is another.
+    /// The frame has another size.
     pub fn add(&mut self, dn: &[u16]) -> Result<(), SizeMismatch> {
         self.moments.add(&[dn])?;
         let sum: u64 = dn.iter().map(|&d| u64::from(d)).sum();
@@ -136,7 +137,7 @@ impl Stack {
         Ok(())
     }
 
-    /// Frames.
+    /// Returns the number of frames.
     pub fn frames(&self) -> u64 {
         self.moments.frames()
     }
@@ -145,18 +146,18 @@ impl Stack {
         self.means_dn.iter().sum::<f64>() / self.means_dn.len().max(1) as f64
     }
 
-    /// Variance of the frame means, DN^2.
+    /// Returns the variance of the frame means, DN^2.
     fn scatter_dn2(&self) -> f64 {
         let (mean, n) = (self.mean_dn(), self.means_dn.len() as f64);
         self.means_dn.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0)
     }
 
-    /// Temporal variance of a pixel on average, DN^2, without what all pixels of a frame share, and its standard error: of n (F - 1) degrees of
-    /// freedom 2 v^2 / dof, of normal noise.
+    /// Returns the mean temporal variance of a pixel, DN^2, without the noise common to a frame. Its squared
+    /// standard error is 2 v^2 / dof for normal noise, with dof = n (F - 1).
     fn noise_dn2(&self) -> Reading {
         let pixels = self.moments.sums().len() as f64;
         let variance = self.moments.variance_dn2().mean().unwrap_or(f64::NAN);
-        // The scatter of means holds v / n of the pixels' own noise.
+        // The variance of frame means contains v / n of the pixel noise.
         let value = (variance - self.scatter_dn2()) / (1.0 - 1.0 / pixels);
         let dof = pixels * (self.frames() as f64 - 1.0).max(1.0);
         Reading { value, std_err: value * (2.0 / dof).sqrt() }
@@ -176,22 +177,22 @@ pub struct Taken {
     pub temperature_c: Option<f64>,
     /// Darks at the exposure of the flats.
     pub short: Stack,
-    /// Darks at the long one.
+    /// Darks at the long exposure.
     pub long: Stack,
     /// The reference flat.
     pub flat: Stack,
-    /// Frames lost meanwhile.
+    /// Frames lost during the check.
     pub lost: u64,
 }
 
 impl Taken {
-    /// What the frames say, held against the calibration.
+    /// Evaluates the frames against the calibration.
     pub fn check(&self, calibration: &Calibration) -> Check {
         let pixels = self.short.moments.sums().len() as f64;
         let (short, long, flat) = (&self.short, &self.long, &self.flat);
         let (dark_noise, flat_noise) = (short.noise_dn2(), flat.noise_dn2());
         let frames = |s: &Stack| s.frames().max(1) as f64;
-        // A mean's error: the pixels' own noise, and what frames share.
+        // Squared error of a mean: pixel noise or noise common to a frame, the larger one.
         let error2 = |s: &Stack, noise: f64| (noise / pixels).max(s.scatter_dn2()) / frames(s);
         let (short_error2, long_error2) =
             (error2(short, dark_noise.value), error2(long, long.noise_dn2().value));
@@ -210,7 +211,8 @@ impl Taken {
             }
         };
         if reach_s > 0.0 {
-            // short - (long - short) e / reach: short's error weighs 1 + e / reach.
+            // Black level = short - (long - short) e / reach: the error of short has the weight 1 + e /
+            // reach.
             let share = self.exposure_s / reach_s;
             let black_error2 = (1.0 + share).powi(2) * short_error2 + share * share * long_error2;
             put(Followed::BlackLevel, short.mean_dn() - current * self.exposure_s, black_error2.sqrt());
@@ -242,7 +244,7 @@ impl Taken {
         }
     }
 
-    /// The corrected flat over its mean; of a colour mosaic each plane over its own.
+    /// Returns the corrected flat over its mean; in a colour mosaic, each plane over its own mean.
     fn corrected(&self, calibration: &Calibration) -> Array2<f64> {
         let dark = self.short.moments.mean_dn();
         let mut out = self.flat.moments.mean_dn() - dark;
@@ -251,7 +253,7 @@ impl Taken {
         for (y, x) in (0..period).flat_map(|y| (0..period).map(move |x| (y, x))) {
             let mut plane = out.slice_mut(s![y..;period, x..;period]);
             let flags = calibration.defects.slice(s![y..;period, x..;period]);
-            // Pixels without light have no part in the level of those with light.
+            // Flagged pixels, such as those without light, do not enter the mean.
             let sound = plane.iter().zip(&flags).filter(|(_, flags)| **flags == 0);
             let (n, sum) = sound.fold((0.0, 0.0), |(n, sum), (v, _)| (n + 1.0, sum + v));
             plane /= if n > 0.0 { sum / n } else { 1.0 };
@@ -259,8 +261,9 @@ impl Taken {
         out
     }
 
-    /// Variance of neighbours in the corrected flat beyond the noise of frames, relative: half the mean square of differences along the rows,
-    /// within a colour. Light is alike for neighbours. The constant part, errors of K among it, is in the reference as well.
+    /// Returns the variance between neighbours in the corrected flat beyond the frame noise, relative: half
+    /// the mean square of differences along the rows, within a colour. Neighbours receive equal light. The
+    /// constant part, including errors of K, is in the baseline as well.
     fn pattern(&self, calibration: &Calibration, signal: f64, noise_dn2: f64) -> (f64, f64) {
         let image = self.corrected(calibration);
         let period = calibration.period();

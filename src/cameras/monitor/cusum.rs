@@ -1,22 +1,24 @@
-//! Sequential tests: sums of log-likelihood ratios that are set back to 0 (Page 1954, Continuous inspection schemes, Biometrika 41).
+//! Sequential tests: CUSUM of log-likelihood ratios, reset at 0 (Page 1954, Continuous inspection schemes,
+//! Biometrika 41).
 //!
-//! Such a sum passes h by chance on average not before e^h readings, whatever is read, where the ratio is right (Lorden 1971, Procedures for
-//! reacting to a change in distribution, Annals of Mathematical Statistics 42): the rate of false alarms is at most e^-h. After a change by the
-//! size that it is made for it grows by the ratio's mean, the Kullback-Leibler divergence, at each reading.
+//! Without a change the sum passes h on average not before e^h readings, for any distribution, provided the
+//! likelihood ratio is correct (Lorden 1971, Procedures for reacting to a change in distribution, Annals of
+//! Mathematical Statistics 42): the false-alarm rate is at most e^-h. After a change of the design size the
+//! sum grows at each reading by the mean log-ratio, the Kullback-Leibler divergence.
 
 use serde::{Deserialize, Serialize};
 
-/// One sum.
+/// One CUSUM.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Cusum {
-    /// The sum, in units of natural logarithms.
+    /// Sum, in natural logarithms.
     pub sum: f64,
-    /// Readings since it was last 0: the most likely age of a change.
+    /// Readings since the sum was last 0: the most likely age of a change.
     pub age: u64,
 }
 
 impl Cusum {
-    /// Adds the logarithm of the ratio of a reading's likelihoods with and without the change.
+    /// Adds the log-likelihood ratio of a reading: with the change against without.
     pub fn add(&mut self, log_ratio: f64) {
         self.sum += log_ratio;
         self.age += 1;
@@ -26,27 +28,29 @@ impl Cusum {
     }
 }
 
-/// log(p(z | shift) / p(z | 0)) of a reading with unit variance: shift (z - shift / 2).
+/// Returns log(p(z | shift) / p(z | 0)) of a reading with unit variance: shift (z - shift / 2).
 pub fn of_shift(z: f64, shift: f64) -> f64 {
     shift * (z - 0.5 * shift)
 }
 
-/// The same of a variance with so many degrees of freedom, in units of the usual one, that may be `ratio` times as large.
+/// Returns the log-likelihood ratio of a variance relative to its baseline, with `dof` degrees of freedom,
+/// for a change by the factor `ratio`.
 pub fn of_variance(relative: f64, dof: f64, ratio: f64) -> f64 {
     0.5 * dof * (relative * (1.0 - 1.0 / ratio) - ratio.ln())
 }
 
-/// The same of a count of which `usual` are expected, and `ratio` times as many after a change (Poisson).
+/// Returns the log-likelihood ratio of a Poisson count with mean `usual`, for a change by the factor `ratio`.
 pub fn of_count(count: f64, usual: f64, ratio: f64) -> f64 {
     count * ratio.ln() - usual * (ratio - 1.0)
 }
 
-/// The limit at which `sums` of them together raise at most one false alarm in so many readings.
+/// Returns the limit at which `sums` tests together raise at most one false alarm in `readings` readings.
 pub fn limit(sums: usize, readings: f64) -> f64 {
     (sums as f64 * readings).ln()
 }
 
-/// Readings until a shift, in standard errors, is found: h over the divergence, shift^2 / 2, and one for the overshoot (Wald).
+/// Returns the mean number of readings to detect a shift, in standard errors: h over the divergence, shift^2
+/// / 2, plus one for the overshoot (Wald).
 pub fn readings_needed(limit: f64, shift: f64) -> f64 {
     limit / (0.5 * shift * shift) + 1.0
 }
@@ -60,7 +64,8 @@ mod tests {
         PixelRng::new(77, Stream::Frame, u64::from(n >> 16), n, 0).normal()
     }
 
-    /// Two million readings without a change, with a limit at which one in a thousand may raise an alarm: no more do, at three sizes of shift.
+    /// Two million readings without a change, limit set for one false alarm in 1000: no more are raised, at
+    /// three sizes of shift.
     #[test]
     fn false_alarms_are_as_rare_as_stated() {
         let limit = limit(1, 1000.0);
@@ -76,12 +81,12 @@ mod tests {
                     alarm
                 })
                 .count();
-            // At most 2000, and the bound is not idle.
+            // At most 2000 alarms; more than 50 show that the test is active.
             assert!(alarms < 2000 && alarms > 50, "shift {shift}: {alarms}");
         }
     }
 
-    /// A change by the size that the sum is made for is found after the number of readings that theory gives, on average of 400, within 15 %.
+    /// Detection delay of a change by the design size: mean of 400 within 15 % of theory.
     #[test]
     fn changes_are_found_when_theory_says() {
         let limit = limit(14, 1e4);

@@ -1,5 +1,5 @@
-//! A history that is written while the monitor goes on: a database that is locked or away holds nothing up,
-//! and costs no check.
+//! Background writer of the history: a locked or unreachable database neither blocks the monitor nor costs a
+//! check.
 
 use super::store::{Store, StoreError};
 use super::{Alarm, Check};
@@ -7,15 +7,15 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Checks that wait for the database at most: a week of one a minute. One more, and the oldest is lost.
+/// Maximum number of queued checks (a week at one per minute). When full, the oldest is dropped.
 const MAX_WAITING: usize = 10_000;
-/// Time between two attempts.
+/// Retry interval.
 const AGAIN: Duration = Duration::from_millis(250);
 
 #[derive(Debug, Default)]
 struct Inside {
     waiting: VecDeque<(Check, Vec<Alarm>)>,
-    /// The last refusal, since which nothing was written.
+    /// Last database error, if nothing was written since.
     refused: Option<String>,
     lost: u64,
     ends: bool,
@@ -29,23 +29,23 @@ struct Shared {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, Inside> {
-        // Nothing in here panics half way.
+        // No code under this lock panics halfway, so a poisoned lock is still consistent.
         self.inside.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until `over` says so, or the time is up.
+    /// Waits until `over` is true or the time is up.
     fn wait(&self, time: Duration, over: impl Fn(&Inside) -> bool) -> MutexGuard<'_, Inside> {
         let waited = self.changed.wait_timeout_while(self.lock(), time, |inside| !over(inside));
         waited.unwrap_or_else(PoisonError::into_inner).0
     }
 }
 
-/// Writes the checks of a camera on a thread of its own, in the order in which they were taken.
+/// Writes the checks of a camera on its own thread, in the order in which they were taken.
 #[derive(Debug)]
 pub struct Keeper(Arc<Shared>);
 
 impl Keeper {
-    /// Begins to write into a store.
+    /// Starts the writer thread for a store.
     pub fn start(mut store: Store, camera: &str, calibration: &str) -> Self {
         let shared = Arc::new(Shared::default());
         let (told, camera, calibration) = (Arc::clone(&shared), camera.to_string(), calibration.to_string());
@@ -59,7 +59,7 @@ impl Keeper {
                     continue;
                 };
                 drop(inside);
-                // Without the lock: a database that is away answers late.
+                // Called without the lock: an unreachable database answers late.
                 let kept =
                     store.follow().and_then(|()| store.keep_again(&camera, &calibration, &check, &alarms));
                 told.written(&check, kept);
@@ -68,7 +68,7 @@ impl Keeper {
         Self(shared)
     }
 
-    /// Takes a check and what it found, to be written when that can be.
+    /// Queues a check and its alarms for writing.
     pub fn keep(&self, check: Check, alarms: Vec<Alarm>) {
         let mut inside = self.0.lock();
         if inside.waiting.len() >= MAX_WAITING {
@@ -86,16 +86,16 @@ impl Keeper {
         self.0.changed.notify_all();
     }
 
-    /// Checks that wait.
+    /// Returns the number of queued checks.
     pub fn waiting(&self) -> usize {
         self.0.lock().waiting.len()
     }
 
-    /// Waits until all are written, for so long at most.
+    /// Waits until all checks are written, at most for `patience`.
     ///
     /// # Errors
     ///
-    /// Number of those that are not, and the reason.
+    /// The number of checks not written, and the reason.
     pub fn finish(self, patience: Duration) -> Result<(), String> {
         self.0.lock().ends = true;
         self.0.changed.notify_all();
@@ -110,12 +110,12 @@ impl Keeper {
 }
 
 impl Shared {
-    /// Notes the outcome for the oldest check that waits.
+    /// Records the outcome for the oldest queued check.
     fn written(&self, check: &Check, outcome: Result<(), StoreError>) {
         let mut inside = self.lock();
         match outcome {
             Ok(()) => {
-                // One that waited for too long is gone already.
+                // The check may have been dropped from a full queue.
                 if inside.waiting.front().is_some_and(|(front, _)| front == check) {
                     inside.waiting.pop_front();
                 }

@@ -1,4 +1,4 @@
-//! What Prometheus reads: the last check, and alarms since the start, as OpenMetrics text.
+//! Prometheus endpoint: the last check, and alarms since the start, as OpenMetrics text.
 
 use super::{Alarm, Check};
 use axum::Router;
@@ -31,7 +31,7 @@ pub struct Metrics {
     error: Family<Of, Value>,
     alarms: Family<Of, Counter>,
     checks: Family<Of, Counter>,
-    /// As it was after the last check: who reads it holds nothing up.
+    /// Text after the last check. Readers never block the monitor.
     text: RwLock<Arc<str>>,
 }
 
@@ -67,7 +67,7 @@ fn of(camera: &str, what: &impl serde::Serialize) -> Of {
 }
 
 impl Metrics {
-    /// Takes a check and what it found.
+    /// Updates the metrics with a check and its alarms.
     pub fn take(&self, camera: &str, check: &Check, alarms: &[Alarm]) {
         self.checks.get_or_create(&of(camera, &"all")).inc();
         for (what, reading) in &check.readings {
@@ -87,17 +87,17 @@ impl Metrics {
         *self.text.write().unwrap_or_else(PoisonError::into_inner) = out.into();
     }
 
-    /// The text, as it was after the last check.
+    /// Returns the text after the last check.
     pub fn text(&self) -> Arc<str> {
         self.text.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
-/// Answers `GET /metrics` at an address until the program ends.
+/// Serves `GET /metrics` at an address until the program ends.
 ///
 /// # Errors
 ///
-/// Where the address cannot be bound.
+/// The address cannot be bound.
 pub fn serve(address: SocketAddr, metrics: Arc<Metrics>) -> std::io::Result<SocketAddr> {
     const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
     let listener = TcpListener::bind(address)?;

@@ -1,10 +1,10 @@
-//! Whether a calibrated camera is still the camera that was calibrated.
+//! Drift monitor for a calibrated camera.
 //!
-//! From time to time a [`Check`] takes some darks and some frames of a reference flat. Sequential tests
-//! ([`chart`], [`cusum`]) follow what they say, and an [`Alarm`] says what changed, since when, by how much, and
-//! what that costs. All tests together raise at most one false alarm in [`FALSE_ALARM_EVERY`] checks.
+//! A [`Check`] takes some darks and some frames of a reference flat at intervals. Sequential tests
+//! ([`chart`], [`cusum`]) follow its readings. An [`Alarm`] states what changed, since when, by how much, and
+//! its cost. All tests together raise at most one false alarm in [`FALSE_ALARM_EVERY`] checks.
 //!
-//! The state is a function of the history: it is made anew from the checks that a store kept.
+//! The state is a function of the history: it is rebuilt from the stored checks.
 
 pub mod chart;
 pub mod check;
@@ -25,21 +25,21 @@ use cusum::Cusum;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Checks among which one false alarm is allowed.
+/// Number of checks per allowed false alarm.
 pub const FALSE_ALARM_EVERY: f64 = 1e4;
-/// Sums that run at once: two for each of six readings, one each for flicker and lost frames.
+/// Number of concurrent sequential tests: two for each of six readings, one each for flicker and lost frames.
 const SUMS: usize = 14;
-/// Checks from which the usual flicker is taken: 40 of 7 degrees of freedom know a variance to 8 %, which a
-/// ratio of 4 bears.
+/// Number of checks to learn the flicker baseline. 40 checks of 7 degrees of freedom give the variance to 8
+/// %, accurate enough for a ratio of 4.
 const LEARN_FLICKER: usize = 40;
-/// Standard errors that exclude an explanation.
+/// Standard errors that exclude a hypothesis.
 const EXCLUDED: f64 = 3.0;
-/// By this factor the variance of frame means is larger where the light flickers.
+/// Factor by which flicker raises the variance of frame means.
 const FLICKER_RATIO: f64 = 4.0;
-/// Frames lost for each that came: usual, and after a fault.
+/// Lost frames per received frame: normal, and after a fault.
 const LOST: (f64, f64) = (1e-4, 1e-2);
 
-/// Changes that matter: the tests are made for them.
+/// Relevant changes, for which the tests are designed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Limits {
     /// Gain, relative.
@@ -52,13 +52,13 @@ pub struct Limits {
     pub dark_current: f64,
     /// Temporal noise of darks, as a standard deviation, relative.
     pub dark_noise: f64,
-    /// What K leaves of the pattern, standard deviation relative to the signal.
+    /// Pattern left after correction with K, standard deviation relative to the signal.
     pub pattern: f64,
 }
 
 impl Default for Limits {
-    /// 1 % of gain, 0.5 DN, 2 % of light, a quarter of the dark current, 5 % of noise, a pattern of 0.3 %: named
-    /// choices.
+    /// Returns named choices: 1 % of gain, 0.5 DN, 2 % of light, a quarter of the dark current, 5 % of noise,
+    /// a pattern of 0.3 %.
     fn default() -> Self {
         Self {
             gain: 0.01,
@@ -72,7 +72,7 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// The change that matters of a reading whose usual value this is.
+    /// Returns the relevant change of a reading with this baseline.
     fn of(&self, what: Followed, usual: f64) -> f64 {
         match what {
             Followed::Gain => self.gain * usual,
@@ -86,12 +86,12 @@ impl Limits {
     }
 }
 
-/// Whether there was light enough to read the gain by.
+/// Returns true if the light sufficed to read the gain.
 fn is_lit(check: &Check) -> bool {
     check.readings.contains_key(&Followed::Gain)
 }
 
-/// What an alarm names.
+/// Kind of change named by an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Changed {
@@ -99,56 +99,56 @@ pub enum Changed {
     Gain,
     /// Lamp, optics, or the sensor's sensitivity: electrons of the reference flat.
     Light,
-    /// There is hardly any light.
+    /// Hardly any light.
     NoLight,
-    /// The reference flat changed, and it cannot be said yet whether by light or by gain.
+    /// Change of the reference flat, not yet attributed to light or gain.
     LightOrGain,
-    /// DN without light and without dark current.
+    /// Black level: DN without light and without dark current.
     BlackLevel,
     /// Dark current.
     DarkCurrent,
     /// Noise of darks.
     DarkNoise,
-    /// K no longer takes the pattern off.
+    /// Pattern no longer removed by K.
     Pattern,
     /// New hot pixels.
     HotPixels,
     /// New dead pixels.
     DeadPixels,
-    /// The light is not steady.
+    /// Unsteady light.
     Flicker,
-    /// Frames are lost on the way.
+    /// Frames lost in transfer.
     LostFrames,
 }
 
-/// A change that was found.
+/// A detected change.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alarm {
-    /// What changed.
+    /// Kind of change.
     pub what: Changed,
-    /// Time of the check that found it, seconds since 1970.
+    /// Time of the detecting check, seconds since 1970.
     pub time_s: f64,
-    /// Time of the check since which it most likely is so, seconds since 1970.
+    /// Time of the check since which the change most likely exists, seconds since 1970.
     pub since_s: f64,
-    /// Checks that it took.
+    /// Checks from the change to its detection.
     pub checks: u64,
-    /// By how much; of pixels their number.
+    /// Size of the change; for pixels, their number.
     pub change: Reading,
-    /// One line: what, how much, since when, what it costs, what to do.
+    /// One line: what, how much, since when, its cost, what to do.
     pub sentence: String,
 }
 
-/// A reading that does not scatter as a normal one does: its usual value, and the sum.
+/// Test of a reading that is not normally distributed: its baseline, and its CUSUM.
 #[derive(Debug, Clone, Default)]
 struct Rate {
     learned: Chart,
     sum: Cusum,
-    /// Which check each reading in the sum is of.
+    /// Check of each reading in the sum.
     checks: Vec<usize>,
 }
 
 impl Rate {
-    /// `true`: the sum passed the limit.
+    /// Adds a reading. Returns true if the sum passed the limit.
     fn add(&mut self, at: usize, what: Followed, reading: Reading, check: &Check, limit: f64) -> bool {
         let ratio = if what == Followed::LostFrames {
             let usual = LOST.0 * check.frames as f64;
@@ -164,7 +164,7 @@ impl Rate {
         };
         self.sum.add(ratio);
         self.checks.push(at);
-        // Only those since the sum was 0 are asked for.
+        // Only checks since the last reset are needed.
         self.checks.drain(..self.checks.len() - self.sum.age.min(self.checks.len() as u64) as usize);
         self.sum.sum > limit
     }
@@ -174,7 +174,7 @@ impl Rate {
     }
 }
 
-/// What a camera was like, is like, and what changed.
+/// Baselines, tests and history of one camera.
 #[derive(Debug, Clone)]
 pub struct Monitor {
     limits: Limits,
@@ -182,18 +182,18 @@ pub struct Monitor {
     charts: BTreeMap<Followed, Chart>,
     rates: BTreeMap<Followed, Rate>,
     history: Vec<Check>,
-    /// Hot and dead pixels of the last check, and those that were told.
+    /// Hot and dead pixels of the last check, and those already reported.
     suspects: [BTreeSet<(u32, u32)>; 2],
     told: [BTreeSet<(u32, u32)>; 2],
-    /// A change of the reference flat that is not told apart yet: the check at which it left what was usual, and
-    /// that since which it is what it is.
+    /// Unresolved change of the reference flat: the check at which it left the baseline, and the check since
+    /// which the present level holds.
     open: Option<(usize, usize)>,
-    /// There is too little light to read the gain by, which was told.
+    /// Too little light to read the gain; already reported.
     dark: bool,
 }
 
 impl Monitor {
-    /// Begins without a history.
+    /// Creates a monitor without a history.
     pub fn new(limits: Limits) -> Self {
         Self {
             limits,
@@ -208,13 +208,13 @@ impl Monitor {
         }
     }
 
-    /// Checks so far.
+    /// Returns the checks so far.
     pub fn history(&self) -> &[Check] {
         &self.history
     }
 
-    /// The readings whose usual value is not known well enough yet: to find the change that matters would take
-    /// over a quarter more checks, and one, than once it is known.
+    /// Returns the readings whose baseline is still being learned: detecting the relevant change would take
+    /// over a quarter more checks, plus one, than with a known baseline.
     pub fn learning(&self) -> Vec<Followed> {
         let slow = self.charts.iter().filter(|(what, chart)| {
             let (known, now) = chart.needed(|usual| self.limits.of(**what, usual), self.limit);
@@ -225,8 +225,8 @@ impl Monitor {
         slow.map(|(what, _)| *what).chain(young.map(|(what, _)| *what)).collect()
     }
 
-    /// Checks after which the change that matters is found, on average: of each reading whose usual value is
-    /// known.
+    /// Returns the mean number of checks to detect the relevant change, for each reading with a known
+    /// baseline.
     pub fn checks_needed(&self) -> BTreeMap<Followed, f64> {
         let needed = |(what, chart): (&Followed, &Chart)| {
             let (_, now) = chart.needed(|usual| self.limits.of(*what, usual), self.limit);
@@ -235,13 +235,11 @@ impl Monitor {
         self.charts.iter().filter_map(needed).collect()
     }
 
-    /// Takes a check and says what it finds. What was told is not told again: what a reading now is becomes its
-    /// usual value.
+    /// Adds a check and returns its alarms. Each change is reported once: the new level becomes the baseline.
     pub fn add(&mut self, check: Check) -> Vec<Alarm> {
         let at = self.history.len();
         let mut changed: BTreeMap<Followed, usize> = BTreeMap::new();
-        // Signal without gain: too little light. It is told once, and the usual value is kept for when there is
-        // light again.
+        // Signal without gain: too little light. Reported once; the baseline is kept until light returns.
         let failed = !is_lit(&check) && self.charts.get(&Followed::Gain).is_some_and(|c| !c.is_empty());
         for (what, reading) in &check.readings {
             if *what == Followed::Signal && !is_lit(&check) {
@@ -273,7 +271,7 @@ impl Monitor {
         for (what, since) in &changed {
             alarms.extend(self.alone(*what, *since));
         }
-        // The signal is read better than the gain: its beginning holds for both.
+        // The signal is more precise than the gain: its change point holds for both.
         let of_flat = changed.get(&Followed::Signal).or_else(|| changed.get(&Followed::Gain));
         match (self.open, of_flat) {
             (Some((before, since)), _) => {
@@ -286,18 +284,18 @@ impl Monitor {
         alarms
     }
 
-    /// Since when the reference flat is another than it was since a change that is still open.
+    /// Returns the check at which the reference flat changed again after an unresolved change.
     fn changed_again(&self, since: usize) -> Option<usize> {
         let chart = self.chart_since(Followed::Signal, since);
         chart.changed(|usual| self.limits.of(Followed::Signal, usual), self.limit)
     }
 
-    /// The readings since a check.
+    /// Builds the chart of the readings since a check.
     fn chart_since(&self, what: Followed, since: usize) -> Chart {
         self.chart_of(what, since..self.history.len())
     }
 
-    /// The readings of some checks; of the signal those with light.
+    /// Builds the chart of the readings of some checks; for the signal, only checks with light.
     fn chart_of(&self, what: Followed, checks: impl Iterator<Item = usize>) -> Chart {
         let mut chart = Chart::default();
         for (at, check) in checks.filter_map(|at| Some((at, self.history.get(at)?))) {
@@ -313,8 +311,8 @@ impl Monitor {
         self.charts.get(&what)?.apart(since, since)
     }
 
-    /// A change of the reference flat or of the gain: by light, where the gain is what it was; by gain, where it
-    /// changed as the flat did; else it is not known yet, which is said once.
+    /// Attributes a change of the reference flat or the gain: to light if the gain is unchanged, to gain if
+    /// both changed alike, to both if both changed differently. An undecided change is reported once.
     fn light_or_gain(&mut self, before: usize, since: usize, first: bool) -> Vec<Alarm> {
         let relative = |what| Some(self.charts.get(&what)?.apart(before, since)?.relative());
         let Some(signal) = relative(Followed::Signal) else { return Vec::new() };
@@ -331,7 +329,8 @@ impl Monitor {
             ],
             Some(gain) if far(gain) => vec![self.alarm(Changed::Gain, since, gain)],
             Some(gain) if far(less(signal, gain)) => vec![self.alarm(Changed::Light, since, signal)],
-            // It is as it was again: the usual value stands, and what was between is told and does not count.
+            // The flat is back at its baseline. The baseline stays; the readings in between, already
+            // reported, are removed.
             _ if !far(signal) && self.open.is_some() => {
                 self.open = None;
                 for what in [Followed::Gain, Followed::Signal] {
@@ -359,7 +358,7 @@ impl Monitor {
             Followed::BlackLevel => (Changed::BlackLevel, self.split(what, since)?.difference()),
             Followed::DarkCurrent => (Changed::DarkCurrent, self.split(what, since)?.relative()),
             Followed::DarkNoise => {
-                // Of a variance half is the standard deviation's.
+                // The relative error of a standard deviation is half that of its variance.
                 let r = self.split(what, since)?.relative();
                 let value = (1.0 + r.value).max(0.0).sqrt() - 1.0;
                 (Changed::DarkNoise, Reading { value, std_err: 0.5 * r.std_err })
@@ -392,7 +391,7 @@ impl Monitor {
         Some(alarm)
     }
 
-    /// What a reading is since a check becomes its usual value.
+    /// Starts new baselines from the readings since a check.
     fn anew(&mut self, readings: &[Followed], since: usize) {
         for what in readings {
             let chart = self.chart_since(*what, since);
@@ -408,7 +407,7 @@ impl Monitor {
         }
     }
 
-    /// Pixels that two checks in a row flag and that were not told yet.
+    /// Reports pixels that two consecutive checks flag and that were not reported yet.
     fn pixels(&mut self) -> Vec<Alarm> {
         let Some(check) = self.history.last() else { return Vec::new() };
         let now = [&check.hot, &check.dead].map(|list| list.iter().copied().collect::<BTreeSet<_>>());
@@ -444,13 +443,13 @@ impl Monitor {
     }
 }
 
-/// A time as people read it, UTC.
+/// Formats a time, UTC.
 pub fn clock(time_s: f64) -> String {
     let time = jiff::Timestamp::from_second(time_s as i64);
     time.map_or_else(|_| format!("{time_s} s"), |t| t.strftime("%Y-%m-%d %H:%M:%S UTC").to_string())
 }
 
-/// What changed, by how much, since when, what it costs, what to do.
+/// Returns the sentence of an alarm: what changed, by how much, since when, its cost, what to do.
 fn sentence(what: Changed, change: Reading, since_s: f64) -> String {
     let since = format!("since {}", clock(since_s));
     let (value, error) = (change.value, change.std_err);

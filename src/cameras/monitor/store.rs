@@ -1,5 +1,5 @@
-//! The history of checks and alarms in a database: SQLite in a file, or a PostgreSQL server. The same tables
-//! and the same statements.
+//! History of checks and alarms in a database: SQLite in a file, or a PostgreSQL server, with the same tables
+//! and statements.
 
 use super::{Alarm, Changed, Check, Limits, Monitor, Reading};
 use crate::secret::shown;
@@ -17,35 +17,35 @@ pub use thinned::{Period, Point};
 
 static MIGRATIONS: Migrator = sqlx::migrate!("src/cameras/monitor/migrations");
 
-/// A history that is kept.
+/// Stored history.
 #[derive(Debug)]
 pub struct Store {
     pool: AnyPool,
     runtime: Runtime,
     url: String,
-    /// SQLite: the file and its inode. SQLite itself goes on writing into a file that was removed.
+    /// SQLite: file and inode. SQLite keeps writing into a deleted file.
     file: Option<(PathBuf, u64)>,
 }
 
-/// The database refused.
+/// Database error.
 #[derive(Debug, thiserror::Error)]
 #[error("{url}: {message}")]
 pub struct StoreError {
     url: String,
     message: String,
-    /// The database may answer later: it is locked, starts, or cannot be reached.
+    /// True for transient errors: the database is locked, starts, or cannot be reached.
     passing: bool,
 }
 
 impl StoreError {
-    /// True where another attempt may succeed: the database is locked, starts, or cannot be reached.
+    /// Returns true if another attempt may succeed: the database is locked, starts, or cannot be reached.
     pub fn is_passing(&self) -> bool {
         self.passing
     }
 }
 
-/// Codes of databases that are busy: SQLite's BUSY and LOCKED with their extended ones; PostgreSQL's classes
-/// 08 (connection), 53 (too little of something) and 57 (shut down, or not started yet).
+/// Returns true for transient errors, among them SQLite's BUSY and LOCKED with their extended codes, and
+/// PostgreSQL's classes 08 (connection), 53 (insufficient resources) and 57 (shut down, or not started yet).
 fn is_passing(e: &sqlx::Error) -> bool {
     match e {
         sqlx::Error::Io(e) => e.kind() != std::io::ErrorKind::InvalidInput,
@@ -62,23 +62,23 @@ fn inode(path: &Path) -> Option<u64> {
     std::fs::metadata(path).ok().map(|m| m.ino())
 }
 
-/// A time as its key. A clock that was never set is before 1970, and 64 bits end in 2262: such times stand at
-/// the end of what there is, which differences have to fit into too.
+/// Converts a time to its key, ns. A clock that was never set may be before 1970, and 64 bits end in 2262:
+/// such times are clamped to +-4.6e18 ns, so that differences of two keys fit too.
 fn nanoseconds(time_s: f64) -> i64 {
     const END: f64 = 4.6e18;
     (time_s * 1e9).round().clamp(-END, END) as i64
 }
 
-/// Checks of one time at most: a clock that stands still or is out of range.
+/// Maximum number of checks with the same time (a clock that stands still or is out of range).
 const SAME_TIME: i64 = 1_000_000;
 
 impl Store {
-    /// Opens a store, and makes its tables where there are none: `sqlite:FILE` or
-    /// `postgres://USER:PASSWORD@HOST/DATABASE`; a plain path is a SQLite file.
+    /// Opens a store and creates missing tables: `sqlite:FILE` or `postgres://USER:PASSWORD@HOST/DATABASE`; a
+    /// plain path is a SQLite file.
     ///
     /// # Errors
     ///
-    /// Where the database cannot be reached or is of a later version.
+    /// The database cannot be reached or is of a later version.
     pub fn open(url: &str) -> Result<Self, StoreError> {
         let url = if url.contains("://") || url.starts_with("sqlite:") {
             url.into()
@@ -91,7 +91,7 @@ impl Store {
         };
         let fault = |message: String| StoreError { url: shown(&url), message, passing: false };
         let refused = |e: sqlx::Error| StoreError { passing: is_passing(&e), ..fault(e.to_string()) };
-        // SQLite follows links, and waits for a FIFO.
+        // SQLite follows links and blocks on a FIFO.
         if let Some(file) =
             url.strip_prefix("sqlite:").and_then(|f| f.trim_start_matches("//").split('?').next())
         {
@@ -103,7 +103,7 @@ impl Store {
             .map_err(|e| fault(e.to_string()))?;
         install_default_drivers();
         let pool = runtime.block_on(async {
-            // A pool would only say that time ran out.
+            // A single connection reports the cause of a failure; a pool reports only its timeout.
             let one = sqlx::AnyConnection::connect(&url).await.map_err(refused)?;
             one.close().await.map_err(refused)?;
             let wait = std::time::Duration::from_secs(10);
@@ -120,11 +120,11 @@ impl Store {
         Ok(Self { pool, runtime, url: shown(&url), file })
     }
 
-    /// Waits for a file that was taken away, and opens the one that has come in its place.
+    /// Reopens a SQLite database whose file was replaced.
     ///
     /// # Errors
     ///
-    /// There is none, or it cannot be opened.
+    /// The file is missing (transient), or the new one cannot be opened.
     pub fn follow(&mut self) -> Result<(), StoreError> {
         let Some((path, known)) = &self.file else { return Ok(()) };
         match inode(path) {
@@ -141,11 +141,11 @@ impl Store {
         StoreError { url: self.url.clone(), message: e.to_string(), passing: false }
     }
 
-    /// Keeps a check and what it found, both or neither.
+    /// Stores a check and its alarms in one transaction.
     ///
     /// # Errors
     ///
-    /// What the database says.
+    /// The database reports an error.
     pub fn keep(
         &self,
         camera: &str,
@@ -157,12 +157,12 @@ impl Store {
         self.keep_as(camera, calibration, nanoseconds(check.time_s), &body, (check, alarms))
     }
 
-    /// Keeps a check of which it is not known whether it was kept: an answer of the database may be lost.
-    /// Another of the same time, by a clock that is wrong, stands beside it.
+    /// Stores a check unless it is stored already: the reply to an earlier attempt may have been lost. A
+    /// different check of the same time (wrong clock) is stored beside it.
     ///
     /// # Errors
     ///
-    /// What the database says.
+    /// The database reports an error.
     pub fn keep_again(
         &self,
         camera: &str,
@@ -245,11 +245,11 @@ impl Store {
         self.runtime.block_on(work).map_err(|e| self.refused(e))
     }
 
-    /// The checks of a camera under a calibration, the oldest first.
+    /// Returns the checks of a camera under a calibration, the oldest first.
     ///
     /// # Errors
     ///
-    /// What the database says, and rows that were changed by hand.
+    /// The database reports an error, or a row was changed by hand.
     pub fn checks(&self, camera: &str, calibration: &str) -> Result<Vec<Check>, StoreError> {
         let query =
             sqlx::query("SELECT body FROM checks WHERE camera = $1 AND calibration = $2 ORDER BY time_ns")
@@ -259,7 +259,7 @@ impl Store {
         self.read(camera, &rows)
     }
 
-    /// The checks of a camera under all calibrations, the oldest first.
+    /// Returns the checks of a camera under all calibrations, the oldest first.
     ///
     /// # Errors
     ///
@@ -280,22 +280,22 @@ impl Store {
             .collect()
     }
 
-    /// Every camera that was checked.
+    /// Returns every camera that was checked.
     ///
     /// # Errors
     ///
-    /// What the database says.
+    /// The database reports an error.
     pub fn cameras(&self) -> Result<Vec<String>, StoreError> {
         let query = sqlx::query("SELECT DISTINCT camera FROM checks ORDER BY camera");
         let rows = self.runtime.block_on(query.fetch_all(&self.pool)).map_err(|e| self.fault(e))?;
         rows.iter().map(|row| row.try_get(0).map_err(|e| self.fault(e))).collect()
     }
 
-    /// Every alarm of a camera: name, time and sentence, the oldest first.
+    /// Returns every alarm of a camera: name, time and sentence, the oldest first.
     ///
     /// # Errors
     ///
-    /// What the database says.
+    /// The database reports an error.
     pub fn alarms(&self, camera: &str) -> Result<Vec<(String, f64, String)>, StoreError> {
         let query = sqlx::query(
             "SELECT what, time_ns, sentence FROM alarms WHERE camera = $1 ORDER BY time_ns, what",
@@ -308,11 +308,11 @@ impl Store {
         rows.iter().map(|row| read(row).map_err(|e: sqlx::Error| self.fault(e))).collect()
     }
 
-    /// A monitor as it stood after the last check that was kept.
+    /// Rebuilds the monitor from the stored checks.
     ///
     /// # Errors
     ///
-    /// What the database says.
+    /// The database reports an error.
     pub fn monitor(&self, camera: &str, calibration: &str, limits: Limits) -> Result<Monitor, StoreError> {
         let mut monitor = Monitor::new(limits);
         for check in self.checks(camera, calibration)? {
@@ -322,7 +322,7 @@ impl Store {
     }
 }
 
-/// The name of a change, as in JSON.
+/// Returns the name of a change, as in JSON.
 pub fn name(what: Changed) -> String {
     serde_json::to_value(what).ok().and_then(|w| w.as_str().map(Into::into)).unwrap_or_default()
 }

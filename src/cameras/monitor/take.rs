@@ -1,4 +1,4 @@
-//! Takes the frames of a check with a camera and its bench.
+//! Capture of the frames of a check, with a camera and its bench.
 
 use super::{Check, Stack, Taken};
 use crate::bench::{BenchError, Illuminator};
@@ -12,19 +12,19 @@ use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Damaged frames beyond as many as whole ones, after which a check is given up.
+/// Maximum excess of damaged over whole frames before a check is aborted.
 const DAMAGED: u64 = 20;
 
-/// What a check takes.
+/// Exposures and frames of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
-    /// Exposure of flats and short darks, s; `None`: that of the calibration's dark reference.
+    /// Exposure of flats and short darks, s; `None`: exposure of the calibration's dark reference.
     pub exposure_s: Option<f64>,
-    /// Exposure of long darks, in short ones.
+    /// Exposure of long darks, relative to the short ones.
     pub long: f64,
     /// Frames of each kind.
     pub frames: u64,
-    /// The reference flat's light, relative.
+    /// Light of the reference flat, relative.
     pub illumination: f64,
 }
 
@@ -34,35 +34,35 @@ impl Default for Plan {
     }
 }
 
-/// Why a check could not be taken.
+/// Reason why a check could not be taken.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TakeError {
-    /// The camera.
+    /// Camera error.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The bench.
+    /// Bench error.
     #[error(transparent)]
     Bench(#[from] BenchError),
-    /// The camera is not the one that was calibrated, or cannot be brought to its settings.
+    /// The camera is not the calibrated one, or cannot be brought to its settings.
     #[error(transparent)]
     Prepare(StreamError),
-    /// Frames come, and none is whole.
+    /// More damaged than whole frames.
     #[error(
         "camera {camera}: {damaged} damaged frames, and {whole} whole ones; look at packet size, cable and switch"
     )]
     Damaged {
-        /// Which camera.
+        /// Camera id.
         camera: String,
         /// Damaged frames.
         damaged: u64,
         /// Whole frames of the same kind.
         whole: u64,
     },
-    /// It was asked to stop.
+    /// Stopped on request.
     #[error("stopped")]
     Stopped,
-    /// A frame of another size than the calibration.
+    /// Frame size differs from the calibration.
     #[error("check: {0}")]
     Size(#[from] crate::statistics::moments::SizeMismatch),
 }
@@ -76,11 +76,11 @@ impl From<StreamError> for TakeError {
     }
 }
 
-/// Takes short darks, long darks and the reference flat; the bench is left as for the flat.
+/// Takes short darks, long darks and the reference flat; the bench stays set for the flat.
 ///
 /// # Errors
 ///
-/// What camera or bench refuse; where more frames come damaged than whole; where it is stopped.
+/// The camera or the bench fails, more frames arrive damaged than whole, or a stop is requested.
 pub fn take(
     camera: &mut dyn Camera,
     bench: &mut dyn Illuminator,
@@ -131,7 +131,7 @@ pub fn take(
     Ok(Taken { time_s, exposure_s, long_s, temperature_c, short, long, flat, lost }.check(calibration))
 }
 
-/// Seconds since 1970; negative where the clock was never set.
+/// Converts to seconds since 1970; negative if the clock was never set.
 fn seconds_since_1970(time: SystemTime) -> f64 {
     time.duration_since(UNIX_EPOCH).map_or_else(|e| -e.duration().as_secs_f64(), |t| t.as_secs_f64())
 }

@@ -1,7 +1,7 @@
-//! The GenICam description of a served camera.
+//! GenICam description file of a served camera.
 //!
-//! A virtual camera cannot refuse what is written to a register, so every number passes a converter that keeps it within its bounds and on
-//! its steps: what a client writes and reads back is what the camera does.
+//! A virtual camera cannot refuse a register write. Every number therefore passes a converter that keeps it
+//! within its bounds and steps: the value that a client reads back is the value in use.
 
 use super::files::{self, BUFFER, DEFECTS};
 use super::gige::address;
@@ -19,11 +19,11 @@ struct Description {
     nodes: Writer<Vec<u8>>,
 }
 
-/// Of memory alone: writing to it does not fail.
+/// Panic message of writes that only go to memory and cannot fail.
 const MEMORY: &str = "writes to memory";
 
-/// The attributes of a node. What the Standard Features Naming Convention names is `Standard`; the bench is ours, and so is what stands behind
-/// a feature.
+/// Returns the attributes of a node. Names of the Standard Features Naming Convention are `Standard`; the
+/// bench and the nodes behind features are `Custom`.
 fn attributes<'a>(tag: &str, name: &'a str) -> [(&'a str, &'a str); 2] {
     let behind = tag.ends_with("Converter") || ["IntReg", "FloatReg"].contains(&tag) || name.ends_with("Max");
     let space = if behind || name.starts_with("Bench") { "Custom" } else { "Standard" };
@@ -38,11 +38,11 @@ impl Description {
         }
     }
 
-    /// A node with its name and its elements, each a tag and a text.
+    /// Adds a node with its elements, each a tag and a text.
     fn node(&mut self, tag: &str, name: &str, elements: &[(&str, &str)]) {
         let inner = |w: &mut Writer<Vec<u8>>| {
             elements.iter().try_for_each(|(tag, text)| {
-                // `pVariable:A` is a variable of a formula by its name, `pIndex:8` an index in steps of 8 bytes.
+                // `pVariable:A` names a variable of a formula; `pIndex:8` is an index in steps of 8 bytes.
                 let (tag, variable) = tag.split_once(':').map_or((*tag, None), |(t, v)| (t, Some(v)));
                 let element = w.create_element(tag);
                 let attribute = if tag == "pIndex" { "Offset" } else { "Name" };
@@ -79,7 +79,7 @@ impl Description {
         self.node("StringReg", name, &elements);
     }
 
-    /// An integer that nobody can change.
+    /// Adds a read-only integer.
     fn constant(&mut self, category: &'static str, name: &str, at: u32) {
         self.list(category, name);
         let register = format!("{name}Reg");
@@ -87,7 +87,8 @@ impl Description {
         self.register(&register, at, "RO");
     }
 
-    /// A converter of this tag that keeps what passes it within bounds, by formulas of `FROM` and of `TO`, and the register behind it.
+    /// Adds a converter that keeps its value within bounds, by formulas of `FROM` and `TO`, in front of the
+    /// register.
     fn converter(
         &mut self,
         tag: &str,
@@ -106,7 +107,7 @@ impl Description {
         self.node(tag, &format!("{name}Converter"), &elements);
     }
 
-    /// An integer from `min` to the value of the node `max`, in steps.
+    /// Adds an integer from `min` to the value of the node `max`, in steps.
     fn integer(&mut self, category: &'static str, name: &str, at: u32, (min, max, step): (u32, &str, u32)) {
         self.list(category, name);
         let (least, inc, converter) = (min.to_string(), step.to_string(), format!("{name}Converter"));
@@ -118,7 +119,7 @@ impl Description {
         self.register(&format!("{name}Reg"), at, "RW");
     }
 
-    /// A number that other nodes compute with.
+    /// Adds a number used in formulas of other nodes.
     fn number(&mut self, name: &str, formula: &str, variables: &[&str]) {
         let mut elements: Vec<(&str, &str)> =
             ["pVariable:A", "pVariable:B"].into_iter().zip(variables.iter().copied()).collect();
@@ -126,7 +127,7 @@ impl Description {
         self.node("IntSwissKnife", name, &elements);
     }
 
-    /// A float within bounds, on steps where it has some. `access`: `RW` or `RO`.
+    /// Adds a float within bounds, optionally in steps. `access`: `RW` or `RO`.
     fn float(
         &mut self,
         category: &'static str,
@@ -164,7 +165,7 @@ impl Description {
         );
     }
 
-    /// An enumeration whose value stands in an element: `pValue` and a register, or a `Value` of its own.
+    /// Adds an enumeration whose value is in an element: `pValue` with a register, or an own `Value`.
     fn entries(&mut self, name: &str, entries: &[(&str, u32)], (tag, value): (&str, &str)) {
         let inner = |w: &mut Writer<Vec<u8>>| {
             for (entry, value) in entries {
@@ -210,7 +211,7 @@ impl Description {
 }
 
 impl Description {
-    /// What the camera does to its pixels beside measuring.
+    /// Adds the image processing features.
     fn processing(&mut self, options: &Options) {
         for (name, at) in FEATURES {
             let access = if options.stuck.iter().any(|(stuck, _)| stuck == name) { "RO" } else { "RW" };
@@ -230,7 +231,8 @@ impl Description {
         }
     }
 
-    /// What the user may write into the camera: files (SFNC 2.7, chapter File Access Control), and a list of defects as cameras of FLIR have it.
+    /// Adds the user-writable memory: files (SFNC 2.7, chapter File Access Control), and a defect list as in
+    /// FLIR cameras.
     fn memory(&mut self) {
         let category = "FileAccessControl";
         for (name, at, entries, access) in [
@@ -286,7 +288,7 @@ impl Description {
         self.command(category, "DefectTableFactoryRestore", "DefectTableApplyReg", 0);
     }
 
-    /// Binning is an integer; powers of two are all it takes.
+    /// Adds a binning factor: an integer that takes only powers of two.
     fn binning(&mut self, name: &str, at: u32, entries: &[(&str, u32)], access: &str) {
         self.list("ImageFormatControl", name);
         let most = entries.iter().map(|e| e.1).max().unwrap_or(1);
@@ -298,7 +300,7 @@ impl Description {
         self.register(&format!("{name}Reg"), at, access);
     }
 
-    /// Exposure, gain and black level under the names of this generation of cameras.
+    /// Adds exposure, gain and black level under the names of this camera generation.
     fn settings(&mut self, model: &Model, names: Names) {
         let body = &model.camera;
         let exposure_us =
@@ -338,7 +340,7 @@ impl Description {
         self.integer(analog, "BlackLevelRaw", register::BLACK_RAW, (0, "BlackLevelRawMax", 1));
     }
 
-    /// A selector of one entry, as cameras of one tap have it.
+    /// Adds a selector with one entry, as in cameras with one tap.
     fn only_all(&mut self, name: &str) {
         self.list("AnalogControl", name);
         self.entries(name, &[("All", 0)], ("Value", "0"));
@@ -346,7 +348,7 @@ impl Description {
 }
 
 impl Description {
-    /// A description that says who the camera is.
+    /// Creates a description with the identity of the camera.
     fn of_device() -> Self {
         let mut d = Self { categories: Vec::new(), nodes: Writer::new_with_indent(Vec::new(), b' ', 1) };
         d.text("DeviceControl", "DeviceVendorName", address::VENDOR, 32);
@@ -357,7 +359,7 @@ impl Description {
         d
     }
 
-    /// Start and stop.
+    /// Adds acquisition start and stop.
     fn acquisition(&mut self) {
         let modes = [("Continuous", 1), ("SingleFrame", 2), ("MultiFrame", 3)];
         self.enumeration("AcquisitionControl", "AcquisitionMode", 0x12c, &modes, "RW");
@@ -366,7 +368,7 @@ impl Description {
         self.command("AcquisitionControl", "AcquisitionStop", "AcquisitionReg", 0);
     }
 
-    /// Bytes of a frame.
+    /// Adds the payload size, bytes.
     fn transport(&mut self) {
         self.list("TransportLayerControl", "PayloadSize");
         self.node(
@@ -387,7 +389,7 @@ impl Description {
         self.node("Port", "Device", &[]);
     }
 
-    /// The file, with its features in their categories.
+    /// Returns the file, with the features in their categories.
     fn finish(self, vendor: &str, model: &str, about: &str) -> String {
         let d = self;
         let mut xml = Writer::new_with_indent(Vec::new(), b' ', 1);
@@ -430,7 +432,7 @@ impl Description {
     }
 }
 
-/// The description of a camera whose frames are those of another: nothing can be set.
+/// Returns the description of a camera that relays frames of another: read-only.
 pub fn of_relay(vendor: &str, model: &str, about: &str, format: PixelFormat) -> String {
     let mut d = Description::of_device();
     d.constant("ImageFormatControl", "SensorWidth", address::SENSOR_WIDTH);
@@ -448,7 +450,8 @@ pub fn of_relay(vendor: &str, model: &str, about: &str, format: PixelFormat) -> 
     d.finish(vendor, model, about)
 }
 
-/// The GenICam description of a sensor (GenApi 1.0 schema, names of the Standard Features Naming Convention).
+/// Returns the GenICam description of a sensor (GenApi 1.0 schema, names of the Standard Features Naming
+/// Convention).
 pub fn of(model: &Model, options: &Options) -> String {
     let body = &model.camera;
     let (w, h) = (size(body.width), size(body.height));
@@ -463,7 +466,7 @@ pub fn of(model: &Model, options: &Options) -> String {
 
     d.constant("ImageFormatControl", "SensorWidth", address::SENSOR_WIDTH);
     d.constant("ImageFormatControl", "SensorHeight", address::SENSOR_HEIGHT);
-    // Binning leaves so many whole steps; the offset shares them with the size.
+    // Maximum size after binning, in whole steps; offset and size share it.
     let step = SIZE_STEP;
     for (size, sensor, binning, offset) in [
         ("Width", "SensorWidth", "BinningHorizontal", "OffsetX"),

@@ -1,4 +1,4 @@
-//! The memory of a served camera that its user may write: a file of flat-field coefficients, and a list of defects.
+//! User-writable memory of a served camera: a file of flat-field coefficients, and a list of defects.
 
 use super::gige::Registers;
 use super::register;
@@ -18,15 +18,15 @@ pub(super) const OPERATIONS: [(&str, u32); 5] =
 pub(super) const MODES: [(&str, u32); 2] = [("Read", 0), ("Write", 1)];
 /// Entries of `FileOperationStatus`.
 pub(super) const STATUSES: [(&str, u32); 2] = [("Success", 0), ("Failure", 1)];
-/// Bytes of `FileAccessBuffer`.
+/// Size of `FileAccessBuffer`, bytes.
 pub(super) const BUFFER: u32 = 0x4000;
-/// Defects that the list holds.
+/// Capacity of the defect list.
 pub(super) const DEFECTS: u32 = 256;
 
-/// Time between two looks at the command's register while a file is open, and while none is.
+/// Polling interval of the command register while a file is open, and while none is.
 const LOOK: [Duration; 2] = [Duration::from_micros(50), Duration::from_millis(2)];
 
-/// The file that the painter uses, and how often it was written.
+/// File used by the painter, and the number of its writes.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Files(Arc<Mutex<(u64, Option<Arc<FlatField>>)>>);
 
@@ -36,7 +36,7 @@ impl Files {
     }
 }
 
-/// What the painter works with.
+/// Corrections used by the painter.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Memory {
     version: u64,
@@ -52,7 +52,7 @@ impl PartialEq for Memory {
 }
 
 impl Memory {
-    /// Takes over what was written since. On the server's thread.
+    /// Takes over new files and lists. Runs on the server's thread.
     pub fn refresh(&mut self, files: &Files, registers: &Registers, sensor: Region) {
         let written = files.lock();
         if written.0 != self.version {
@@ -76,14 +76,14 @@ impl Memory {
     }
 }
 
-/// Does what `FileOperationExecute` asks for, until it is dropped.
+/// Executes `FileOperationExecute` until dropped.
 pub(super) struct Keeper {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Keeper {
-    /// `size`: columns and rows of the sensor as the description has them.
+    /// Starts the thread. `size`: columns and rows of the sensor as in the description.
     pub fn start(memory: Registers, files: Files, size: (u32, u32)) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
@@ -109,7 +109,7 @@ impl Drop for Keeper {
     }
 }
 
-/// A file that is open.
+/// Open file.
 enum Access {
     Read,
     Write(Vec<u8>),
@@ -120,7 +120,7 @@ struct Open {
     files: Files,
     size: (u32, u32),
     file: Option<Access>,
-    /// The file as it was last closed.
+    /// Contents of the file when last closed.
     kept: Vec<u8>,
 }
 
@@ -131,11 +131,11 @@ impl Open {
         r.set_u32(register::FILE_STATUS, u32::from(done.is_none()));
         r.set_u32(register::FILE_RESULT, done.unwrap_or(0));
         r.set_u32(register::FILE_SIZE, self.kept.len() as u32);
-        // Last: the client waits for it.
+        // Written last: the client polls this register.
         r.set_u32(register::FILE_EXECUTE, 0);
     }
 
-    /// Bytes that were read or written; `None`: a failure.
+    /// Returns the number of bytes read or written; `None` on failure.
     fn operation(&mut self) -> Option<u32> {
         let r = &self.memory;
         let offset = r.u32(register::FILE_OFFSET) as usize;
@@ -164,7 +164,7 @@ impl Open {
                 Some(part.len() as u32)
             }
             ("Write", Some(Access::Write(bytes))) => {
-                // Header and 4 bytes of each pixel are all that a file can have.
+                // Maximum file size: header and 4 bytes per pixel.
                 let most = 1024 + 4 * self.size.0 as usize * self.size.1 as usize;
                 if offset > bytes.len() || offset + length > most {
                     return None;
@@ -179,7 +179,7 @@ impl Open {
         }
     }
 
-    /// A file whose coefficients are those of this sensor is kept.
+    /// Keeps the file if its coefficients match the size of this sensor.
     fn keep(&mut self, bytes: Vec<u8>) -> Option<u32> {
         match FlatField::from_bytes(&bytes) {
             Ok(flat) if flat.size() == self.size => {

@@ -4,13 +4,13 @@
 //! the features `BenchIllumination`, `BenchDark`, `BenchConfiguration`, `BenchScene` and `DeviceTemperature`
 //! move the bench.
 //!
-//! It offers what cameras do to their pixels beside measuring: [`processing::Processing`], all of it off. A
-//! feature can be stuck, as firmware has it, and exposure, gain and black level can have the names that older
-//! cameras give them ([`Options`]).
+//! Image processing of real cameras is available and off by default ([`processing::Processing`]). A feature
+//! can be stuck, as in some firmware, and exposure, gain and black level can have the names of older cameras
+//! ([`Options`]).
 //!
-//! Its clock is simulated: timestamps grow by exposure and read-out time while frames come as fast as
-//! `AcquisitionFrameRate` says. Frame n since the start shows the noise of frame number n; a client may say
-//! by `BenchFrame` and `BenchTime` which frame comes next, and when.
+//! The clock is simulated: timestamps grow by exposure and read-out time, while frames arrive as fast as
+//! `AcquisitionFrameRate` allows. Frame n since the start shows the noise of frame number n. `BenchFrame` and
+//! `BenchTime` set number and time of the next frame.
 
 mod description;
 mod files;
@@ -29,7 +29,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-/// Our own registers, behind those of the fake camera and the bootstrap registers.
+/// Own registers, behind those of the fake camera and the bootstrap registers.
 mod register {
     pub const EXPOSURE_US: u32 = 0x8000;
     pub const GAIN_DB: u32 = 0x8008;
@@ -63,9 +63,9 @@ mod register {
     pub const FILE_SIZE: u32 = 0x80A4;
     pub const DEFECT_COUNT: u32 = 0x80A8;
     pub const DEFECT_INDEX: u32 = 0x80AC;
-    /// 1 where the list is to be taken over, 2 where that was done, 0 where there is none.
+    /// Writing 1 takes over the list; 2: taken over; 0: no list.
     pub const DEFECT_APPLY: u32 = 0x80B0;
-    /// Number of the next frame, by which its noise is drawn.
+    /// Number of the next frame, the seed of its noise.
     pub const FRAME: u32 = 0x80B4;
     /// Time of the next frame, s.
     pub const TIME_S: u32 = 0x80B8;
@@ -87,57 +87,57 @@ pub enum Names {
     Raw,
 }
 
-/// `ExposureTimeBaseAbs`, us: that of a Basler piA640.
+/// `ExposureTimeBaseAbs`, us, as in a Basler piA640.
 const EXPOSURE_BASE_US: f64 = 20.0;
 /// `GainRaw` counts tenths of a dB.
 const GAIN_STEP_DB: f64 = 0.1;
 
-/// How a camera is served.
+/// Options of a served camera.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Options {
     /// Names of exposure, gain and black level.
     pub names: Names,
-    /// Features of [`processing`] that cannot be changed, with their values, as text.
+    /// Read-only features of [`processing`] with their values, as text.
     pub stuck: Vec<(String, String)>,
 }
 
-/// Step of the region's width and height: rows of every packed format then end on a byte.
+/// Step of the region's width and height: the rows of every packed format end on a byte.
 const SIZE_STEP: u32 = 4;
 
-/// Why a camera cannot be served.
+/// Reason why a camera cannot be served.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServeError {
-    /// The network.
+    /// Network error.
     #[error("virtual camera on {interface}: {message}")]
     Network {
         /// Address of the interface.
         interface: IpAddr,
-        /// Why.
+        /// Reason.
         message: String,
     },
-    /// The sensor.
+    /// Invalid sensor model.
     #[error(transparent)]
     Model(#[from] radcam_sim::ModelError),
-    /// The options.
+    /// Invalid options.
     #[error("{0}")]
     Options(String),
 }
 
 /// A camera being served; it stops when dropped.
 pub struct Served {
-    // Ends before the camera whose files it keeps.
+    // Dropped before the camera, whose files it keeps.
     _files: files::Keeper,
     camera: VirtualCamera,
 }
 
 impl Served {
-    /// Makes the camera lose this share of its packets, 0 to 1.
+    /// Drops this share of the packets, 0 to 1.
     pub fn set_lost_packets(&self, share: f64) {
         self.camera.set_lost_packets(share);
     }
 
-    /// Control requests that were refused or dropped.
+    /// Returns the number of control requests refused or dropped.
     pub fn refused(&self) -> u64 {
         self.camera.refused()
     }
@@ -147,7 +147,7 @@ impl Served {
 ///
 /// # Errors
 ///
-/// Where the interface cannot be bound or a value of the options cannot be taken.
+/// The interface cannot be bound, or an option has an invalid value.
 pub fn serve(
     sensor: Arc<Sensor>,
     interface: IpAddr,
@@ -174,7 +174,7 @@ pub fn serve(
     Ok(Served { _files, camera })
 }
 
-/// The format in which the camera starts: the deepest, unpacked.
+/// Returns the pixel format at start: the deepest, unpacked.
 fn native_format(bit_depth: u8) -> u32 {
     let formats = formats_of(bit_depth);
     formats.iter().max_by_key(|f| (f.bits(), f.bits_per_pixel())).map_or(0, |f| f.code())
@@ -199,7 +199,7 @@ fn set_up(model: &Model, r: &mut Initial) {
     r.limit(address::HEIGHT, 1, size(body.height));
     r.limit(address::OFFSET_X, 0, size(body.width));
     r.limit(address::OFFSET_Y, 0, size(body.height));
-    // 1000 to 0.1 frames a second, as the description has it.
+    // 1000 to 0.1 frames per second, as in the description.
     r.limit(address::FRAME_PERIOD_US, 1000, 10_000_000);
     for at in [register::PHOTON_FLUX, register::EXPOSURE_BASE_US] {
         r.fix(at, 8);
@@ -225,7 +225,7 @@ fn set_up(model: &Model, r: &mut Initial) {
 const SCENES: [(&str, u32, Scene); 3] =
     [("Card", 0, Scene::Card), ("Patch", 1, Scene::Patch), ("Chart", 2, Scene::Chart)];
 
-/// What the registers ask for.
+/// Reads the conditions from the registers.
 fn conditions(sensor: &Sensor, names: Names, r: &Registers) -> Conditions {
     let body = &sensor.model().camera;
     let exposure_us = match names {
@@ -261,26 +261,26 @@ fn conditions(sensor: &Sensor, names: Names, r: &Registers) -> Conditions {
     }
 }
 
-/// What a frame shows.
+/// Contents of a frame.
 #[derive(Debug, Clone, PartialEq)]
 struct Job {
     number: u64,
     conditions: Conditions,
-    /// In pixels as they are handed out, binned.
+    /// Region in output (binned) pixels.
     region: Region,
     processing: Processing,
     memory: files::Memory,
 }
 
-/// Paints frames; the next one is drawn ahead on a thread of its own.
+/// Paints frames; a thread draws the next one ahead.
 struct Artist {
     sensor: Arc<Sensor>,
     names: Names,
     jobs: SyncSender<(Job, Vec<u16>)>,
     done: Receiver<(Job, Vec<u16>)>,
-    /// A frame is being drawn ahead.
+    /// True while a frame is drawn ahead.
     ahead: bool,
-    /// Frame memory that is not on its way.
+    /// Frame memory not in use.
     spare: Vec<u16>,
     files: files::Files,
     memory: files::Memory,
@@ -291,7 +291,7 @@ impl Artist {
         let (jobs, inbox) = sync_channel::<(Job, Vec<u16>)>(1);
         let (outbox, done) = sync_channel(1);
         let painter = Arc::clone(&sensor);
-        // Ends when either channel does.
+        // The thread ends when either channel closes.
         std::thread::spawn(move || {
             while let Ok((job, mut dn)) = inbox.recv() {
                 draw(&painter, &job, &mut dn);
@@ -311,7 +311,7 @@ fn draw(sensor: &Sensor, job: &Job, dn: &mut Vec<u16>) {
     let whole = Region { x: x * across, y: y * down, width: width * across, height: height * down };
     if job.processing.pattern == Pattern::Number {
         dn.resize(width as usize * height as usize, 0);
-        // It wraps as the frames of a camera do that runs for years.
+        // The number wraps, as in a camera that runs for years.
         processing::numbered(job.number as u32, sensor.model().full_scale_dn(), dn);
         return;
     }
@@ -333,7 +333,7 @@ impl Painter for Artist {
         let inside = u64::from(x) + u64::from(width) <= u64::from(wide)
             && u64::from(y) + u64::from(height) <= u64::from(high);
         if !inside {
-            // As cameras do where binning makes the image smaller: the region is what is left from here on.
+            // As in cameras when binning shrinks the image: the region is limited to the rest from now on.
             registers.set_u32(address::OFFSET_X, 0);
             registers.set_u32(address::OFFSET_Y, 0);
             registers.set_u32(address::WIDTH, width.min(size(wide)));
@@ -372,11 +372,11 @@ impl Painter for Artist {
         let next_s = time_s + conditions.exposure_s + readout_s;
         registers.set_u32(register::FRAME, number.wrapping_add(1));
         registers.set_f64(register::TIME_S, next_s);
-        // Most likely the next frame is asked for under the same conditions.
+        // The next frame is most likely requested under the same conditions.
         let conditions = Conditions { time_s: next_s - 1.0, ..conditions };
         let next = Job { number: number.wrapping_add(1).into(), conditions, ..job };
         if !self.sensor.model().effects.is_empty() {
-            // Effects may depend on the frame before: none may be drawn that is not asked for.
+            // Effects may depend on the previous frame: no frame may be drawn unrequested.
             self.spare = dn;
             return now_ns;
         }

@@ -1,12 +1,12 @@
-//! What cameras do to their pixels beside measuring, and what a calibration must not meet: flat-field and defect correction, gamma, a lookup
-//! table, sharpening, a test pattern, binning.
+//! Image processing of cameras that a calibration must not meet: flat-field and defect correction, gamma, a
+//! lookup table, sharpening, a test pattern, binning.
 
 use super::files::Memory;
 use super::gige::{Initial, Registers};
 use super::register;
 use crate::frame::Region;
 
-/// Features by their GenICam names, and the registers behind them.
+/// Features by their GenICam names, and their registers.
 pub(super) const FEATURES: [(&str, u32); 8] = [
     ("BinningHorizontal", register::BINNING_HORIZONTAL),
     ("BinningVertical", register::BINNING_VERTICAL),
@@ -25,39 +25,40 @@ pub(super) const FLAT_FIELDS: [(&str, u32); 2] = [("Off", 0), ("User", 1)];
 /// Values of the binning features.
 pub(super) const BINNINGS: [u32; 3] = [1, 2, 4];
 
-/// Weight of each of the four neighbours that sharpening takes off.
+/// Weight of each of the four neighbours subtracted by sharpening.
 const SHARPENING: f64 = 0.15;
-/// Share of the full scale by which a pixel stands out of its neighbours where it is taken for a defect.
+/// Threshold of defects: excess over all neighbours, relative to full scale.
 const DEFECT: f64 = 0.03;
 
-/// Everything at once; the default changes nothing.
+/// All processing steps; the default changes nothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Processing {
     /// Pixels averaged across and down: 1, 2 or 4.
     pub binning: (u32, u32),
     /// Exponent of the response.
     pub gamma: f64,
-    /// A lookup table that lifts the lower two thirds of the range by a fifth.
+    /// Lookup table that raises the lower two thirds of the range by a fifth.
     pub lut: bool,
-    /// Each pixel against its four neighbours.
+    /// Sharpening with the four neighbours.
     pub sharpening: bool,
-    /// Pixels that stand out become the mean of their neighbours; those of the user's list, where there is one.
+    /// Defect correction: replaces the pixels of the user's list, or without a list the pixels that stand
+    /// out, by the mean of their neighbours.
     pub defects: bool,
-    /// The user's offsets and factors, where there are some.
+    /// Flat-field correction with the user's offsets and factors, if written.
     pub flat_field: bool,
-    /// What stands in place of the image.
+    /// Test pattern in place of the image.
     pub pattern: Pattern,
 }
 
-/// What stands in place of the image.
+/// Test pattern in place of the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Pattern {
-    /// The image.
+    /// No test pattern.
     #[default]
     Off,
-    /// Each row from 0 to the full scale.
+    /// Ramp from 0 to full scale in each row.
     Ramp,
-    /// The frame's number, and pixels that all follow from it: see [`numbered`].
+    /// Frame number, and pixels that all follow from it: see [`numbered`].
     Number,
 }
 
@@ -71,11 +72,12 @@ impl Pattern {
     }
 }
 
-/// Pixels of a numbered frame that hold the number, four bits each, the lowest first.
+/// Number of pixels that hold the frame number, four bits each, the lowest first.
 const NUMBER_PIXELS: usize = 8;
 
-/// The pixels of a numbered frame: the first eight hold the number, every other a code that follows from number and place, so that no pixel of
-/// another frame, no shift and no other change goes unseen. For tests of streams.
+/// Fills a numbered frame, a test pattern for streams. The first eight pixels hold the number, every other
+/// one a code derived from number and position, so that a pixel of another frame, a shift or any other change
+/// is detected.
 ///
 /// ```
 /// use radcam::serve::processing::{number_of, numbered};
@@ -91,11 +93,12 @@ pub fn numbered(number: u32, full_scale_dn: u16, dn: &mut [u16]) {
     }
 }
 
-/// Pixels whose codes follow from the same two keys.
+/// Number of pixels with the same two keys.
 const BLOCK: usize = 4096;
 
-/// One block of a numbered frame. Two keys of each frame and block: a pixel is the upper bits of a product, so that no other frame and no shift
-/// gives the same run of codes but by a chance of one in 2^28. In 16-bit steps, which every processor does many at a time.
+/// Fills one block of a numbered frame. Each frame and block has two keys. A pixel is the upper bits of a
+/// product, so another frame or a shift gives the same run of codes only with a probability of 2^-28. 16-bit
+/// steps suit the vector units of every processor.
 fn paint_block(number: u32, block: u32, full_scale_dn: u16, dn: &mut [u16]) {
     // Multiplicative hashing: Knuth, The Art of Computer Programming, vol. 3, 6.4.
     let mixed = (number ^ block.wrapping_mul(0x9E37_79B1)).wrapping_mul(0x85EB_CA6B);
@@ -111,7 +114,7 @@ fn paint_block(number: u32, block: u32, full_scale_dn: u16, dn: &mut [u16]) {
     }
 }
 
-/// The number of a numbered frame; `None` where any pixel is not as it was made.
+/// Returns the number of a numbered frame; `None` if any pixel was changed.
 pub fn number_of(dn: &[u16], full_scale_dn: u16) -> Option<u32> {
     let head = dn.get(..NUMBER_PIXELS)?;
     let number = head.iter().rev().try_fold(0u32, |n, &d| (d < 16).then(|| n << 4 | u32::from(d)))?;
@@ -143,7 +146,7 @@ impl Processing {
     ///
     /// # Errors
     ///
-    /// Where there is no such feature or it cannot take the value, in words.
+    /// Message: no such feature, or the feature cannot take the value.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
         let fault = |what: &str| format!("{name} = {value}: {what}");
         let truth = || value.parse::<bool>().map_err(|_| fault("write true or false"));
@@ -179,7 +182,7 @@ impl Processing {
         Ok(())
     }
 
-    /// Puts it into the registers.
+    /// Writes the settings into the registers.
     pub(super) fn write(&self, r: &mut Initial) {
         r.set_u32(register::BINNING_HORIZONTAL, self.binning.0);
         r.set_u32(register::BINNING_VERTICAL, self.binning.1);
@@ -191,7 +194,7 @@ impl Processing {
         r.set_u32(register::FLAT_FIELD, self.flat_field.into());
     }
 
-    /// What the registers ask for.
+    /// Reads the settings from the registers.
     pub(super) fn read(r: &Registers) -> Self {
         let binning = |at| BINNINGS.into_iter().find(|n| *n == r.u32(at)).unwrap_or(1);
         let gamma = r.f64(register::GAMMA);
@@ -206,12 +209,12 @@ impl Processing {
         }
     }
 
-    /// Columns and rows of the whole sensor, binned.
+    /// Returns columns and rows of the whole sensor, binned.
     pub(super) fn binned(&self, sensor: Region) -> (u32, u32) {
         (sensor.width / self.binning.0, sensor.height / self.binning.1)
     }
 
-    /// Does it to a region of the sensor, whose pixels are not yet binned; `dn` shrinks where they are.
+    /// Processes a region of the unbinned sensor; `dn` shrinks with binning.
     pub(super) fn apply(&self, dn: &mut Vec<u16>, region: Region, full_scale_dn: u16, memory: &Memory) {
         let mut width = region.width as usize;
         if *self == Self::default() || width == 0 {
@@ -240,7 +243,7 @@ impl Processing {
                     let sum: u32 =
                         cells.map(|(j, i)| u32::from(dn[(y * down + j) * width + x * across + i])).sum();
                     let n = (across * down) as u32;
-                    // What is written lies before all that is still to be read.
+                    // In place: the write position never passes pixels still to be read.
                     dn[y * columns + x] = ((sum + n / 2) / n) as u16;
                 }
             }
@@ -274,7 +277,8 @@ impl Processing {
     }
 }
 
-/// Replaces every pixel by what `act` makes of it and its four neighbours; those beyond the edge are the pixel itself.
+/// Replaces every pixel by `act` of the pixel and its four neighbours; beyond the edge the pixel stands for
+/// its neighbour.
 fn around(dn: &mut [u16], width: usize, act: impl Fn(f64, [f64; 4]) -> f64) {
     let before = dn.to_vec();
     let rows = dn.len() / width;

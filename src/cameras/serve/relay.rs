@@ -1,4 +1,4 @@
-//! Corrected frames offered again as a GigE Vision camera, so that any GenICam software receives them.
+//! Corrected frames served as a GigE Vision camera, for any GenICam software.
 
 use super::gige::{Initial, Painter, Registers, Request, VirtualCamera, address};
 use super::{ServeError, description, register};
@@ -10,9 +10,9 @@ use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Frames that may wait for the client.
+/// Maximum number of frames queued for the client.
 const WAITING: usize = 8;
-/// A client that has taken nothing for so long is gone: of what waits only the newest frame is kept.
+/// Time without a request after which a client counts as gone: only the newest frame stays queued.
 const IDLE: Duration = Duration::from_secs(1);
 
 #[derive(Default)]
@@ -20,12 +20,13 @@ struct Inside {
     waiting: VecDeque<Arc<Corrected>>,
     sent: u64,
     dropped: u64,
-    /// Frames that came while no client was there.
+    /// Frames received without a client.
     unasked: u64,
     last: Option<Instant>,
 }
 
-/// What the stream and the server share. Under this lock the trigger's register is 1 where, and only where, a frame waits.
+/// State shared by stream and server. Under this lock the trigger register is 1 exactly when a frame is
+/// queued.
 #[derive(Clone, Default)]
 struct Shared(Arc<Mutex<Inside>>);
 
@@ -35,7 +36,7 @@ impl Shared {
     }
 }
 
-/// A camera that sends each corrected frame once, when it is there.
+/// Camera that sends each corrected frame once.
 pub struct Relay {
     camera: VirtualCamera,
     shared: Shared,
@@ -63,11 +64,12 @@ impl Painter for Hand {
 }
 
 impl Relay {
-    /// Answers on an interface, named by its IPv4 address, as a camera of this serial number whose frames have this size, format and exposure.
+    /// Starts a camera on an interface (its IPv4 address), with this serial number and frames of this size,
+    /// format and exposure.
     ///
     /// # Errors
     ///
-    /// Where the interface cannot be bound.
+    /// The interface cannot be bound.
     pub fn start(
         interface: IpAddr,
         serial: &str,
@@ -94,7 +96,7 @@ impl Relay {
             r.set_u32(at, value);
         }
         r.set_f64(register::EXPOSURE_US, 1e6 * settings.exposure_s);
-        // Frames are those of another camera: nothing of them can be set.
+        // Frames come from another camera: no setting can be changed.
         for (at, bytes) in [
             (address::WIDTH, 8),
             (address::PIXEL_FORMAT, 4),
@@ -110,7 +112,7 @@ impl Relay {
         Ok(Self { camera, shared })
     }
 
-    /// Frames that came while no client was there; they are neither sent nor dropped.
+    /// Returns the number of frames received without a client; they are neither sent nor dropped.
     pub fn unasked(&self) -> u64 {
         self.shared.lock().unasked
     }
@@ -123,7 +125,7 @@ impl Sink for Relay {
 
     fn take(&mut self, frame: &Arc<Corrected>) -> Result<(), StreamError> {
         let mut inside = self.shared.lock();
-        // A client that was killed leaves its acquisition running.
+        // A killed client leaves its acquisition running.
         let idle = !self.camera.is_acquiring() || inside.last.is_some_and(|last| last.elapsed() > IDLE);
         if idle {
             inside.unasked += inside.waiting.len() as u64;
@@ -142,14 +144,14 @@ impl Sink for Relay {
         SinkCounts { taken: inside.sent, dropped: inside.dropped }
     }
 
-    /// What waits still goes out where a client takes it.
+    /// Sends the queued frames if a client takes them.
     fn finish(&mut self) -> Result<(), StreamError> {
         let begun = Instant::now();
         let waits = |i: &Inside| !i.waiting.is_empty() && i.last.is_some_and(|last| last.elapsed() < IDLE);
         while begun.elapsed() < IDLE && waits(&self.shared.lock()) {
             std::thread::sleep(Duration::from_millis(5));
         }
-        // The last packet is on its way.
+        // Leaves time for the last packet.
         std::thread::sleep(Duration::from_millis(50));
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! Corrected frames as files.
+//! Sink that writes corrected frames as files.
 
 use super::{Corrected, Ring, Sink, SinkCounts, StreamError};
 use crate::dataset::{Aside, DatasetError, Folder, image, synchronise};
@@ -12,13 +12,15 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use tiff::encoder::colortype::Gray16;
 
-/// Columns of `frames.csv` beside corrected frames.
+/// Columns of `frames.csv`, the table of corrected frames.
 const COLUMNS: &str = "file,id,timestamp_s,mean_dn,saturated_pixels";
 
-/// A folder of corrected frames: `frames/00000001.tiff` and so on, a row for each in `frames.csv` once it is on the disk whole.
+/// Folder of corrected frames: `frames/00000001.tiff` and so on, with a row for each in `frames.csv` once it
+/// is completely on disk.
 ///
-/// It writes on a thread of its own. A slow disk holds nothing up: the oldest frame that waits is dropped, and counted. Frames that have come while
-/// the disk was busy are brought to it together, up to eight: that takes less time than one after the other.
+/// A separate thread writes. A slow disk blocks nothing: the oldest waiting frame is dropped and counted.
+/// Frames that arrived while the disk was busy are written together, up to eight, which is faster than one by
+/// one.
 #[derive(Debug)]
 pub struct Files {
     ring: Arc<Ring<Arc<Corrected>>>,
@@ -27,21 +29,22 @@ pub struct Files {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Frames that are brought to the disk together, at most. A group has left the queue while it is written; what comes meanwhile must fit there.
+/// Maximum number of frames written together. A group leaves the queue before it is written; the queue must
+/// hold the frames that arrive meanwhile.
 const GROUP: usize = 8;
 
 struct Job {
     root: PathBuf,
     rows: File,
     description: String,
-    /// Frames of earlier groups.
+    /// Frames written in earlier groups.
     written: u64,
-    /// Keeps other writers out of the folder.
+    /// Folder lock that keeps other writers out.
     _held: Folder,
 }
 
 impl Job {
-    /// Writes a frame aside, and says what its row will be.
+    /// Writes a frame to a temporary file, and returns its future row.
     fn aside(&self, number: u64, frame: &Corrected) -> Result<(Aside, String), StreamError> {
         let name = format!("frames/{number:08}.tiff");
         let path = self.root.join(&name);
@@ -56,7 +59,8 @@ impl Job {
         Ok((aside, format!("{name},{},{time},{:.4},{}\n", frame.id, seen.mean_dn(), seen.saturated)))
     }
 
-    /// Brings frames to the disk, then their rows. What is whole where one fails stays, with its row.
+    /// Writes frames to disk, then their rows. If one fails, frames completed before it stay, with their
+    /// rows.
     fn write(&mut self, frames: &[Arc<Corrected>]) -> Result<(), StreamError> {
         let (mut outcome, mut aside) = (Ok(()), Vec::new());
         for (number, frame) in (self.written + 1..).zip(frames) {
@@ -91,11 +95,11 @@ fn disk(e: DatasetError) -> StreamError {
 }
 
 impl Files {
-    /// A new folder, or an empty one.
+    /// Creates a new folder, or uses an empty one.
     ///
     /// # Errors
     ///
-    /// Where the folder holds something or cannot be written.
+    /// The folder is not empty or cannot be written.
     pub fn create(root: &Path, description: &str, waiting: usize) -> Result<Self, StreamError> {
         let fault = |message: String| StreamError::Files { path: root.into(), message };
         let io = |e: std::io::Error| fault(e.to_string());
@@ -170,7 +174,7 @@ impl Drop for Files {
 mod tests {
     use super::Files;
 
-    /// A second stream into a folder is refused while the first writes, and after it.
+    /// A second stream into a folder is refused while the first writes, and afterwards.
     #[test]
     fn a_folder_has_one_writer() {
         let dir = tempfile::tempdir().unwrap();

@@ -1,8 +1,8 @@
-//! A camera's frames, corrected as they come, for as long as the line runs.
+//! Continuous correction of a camera's frames, for as long as the line runs.
 //!
-//! The bytes that the camera sends are unpacked, corrected and looked at in one pass where they lie. What is
-//! not fast enough never makes the camera wait: of frames that wait the oldest is dropped, and counted. A
-//! camera that is lost is looked for until it is back.
+//! The received bytes are unpacked, corrected and inspected in one pass, without a copy. A slow consumer
+//! never blocks the camera: the oldest waiting frame is dropped and counted. A lost camera is searched for
+//! until it is back.
 
 mod files;
 mod ring;
@@ -24,28 +24,28 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Time between two attempts to find a lost camera.
+/// Interval between two attempts to find a lost camera.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// How a stream is corrected.
+/// Options of a corrected stream.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// What the codes mean; `None`: as the camera has them, one code for a DN, with the mean of the dark
-    /// reference as the black level, and none above its full scale.
+    /// Meaning of the codes. `None`: the camera's codes, that is 1 code per DN, the mean of the dark
+    /// reference as the black level, clipped at the camera's full scale.
     pub codes: Option<Codes>,
-    /// Replace flagged pixels.
+    /// True if flagged pixels are replaced.
     pub replace_defects: bool,
-    /// Go on although frames are darker than the dark reference.
+    /// True to continue although frames are darker than the dark reference.
     pub force: bool,
-    /// Exposure, s; `None`: the one at which the camera stands.
+    /// Exposure, s; `None`: the current exposure of the camera.
     pub exposure_s: Option<f64>,
-    /// The stream of the camera. Frames that wait are bounded.
+    /// Stream options of the camera. The number of waiting frames is bounded.
     pub stream: StreamOptions,
-    /// End after so many corrected frames.
+    /// Number of corrected frames after which the stream ends.
     pub frames: Option<u64>,
-    /// End after this time.
+    /// Time after which the stream ends.
     pub duration: Option<Duration>,
-    /// How long a lost camera is looked for before it is given up.
+    /// Maximum time for which a lost camera is searched.
     pub patience: Duration,
 }
 
@@ -56,7 +56,7 @@ impl Default for Options {
             replace_defects: false,
             force: false,
             exposure_s: None,
-            // Frames that wait for lost packets hold their buffers: 100 ms at 160 frames a second.
+            // Frames that wait for lost packets occupy buffers: 100 ms at 160 frames per second.
             stream: StreamOptions {
                 buffers: 24,
                 waiting: Some(8),
@@ -70,38 +70,38 @@ impl Default for Options {
     }
 }
 
-/// A corrected frame.
+/// Corrected frame.
 #[derive(Debug, Clone)]
 pub struct Corrected {
     /// Codes, row by row.
     pub pixels: Vec<u16>,
     /// Columns and rows.
     pub size: (usize, usize),
-    /// Number by the camera's count, as [`Frame::id`]; of a camera that was lost and begins at 1 again, from
-    /// the last number on.
+    /// Frame number of the camera, as [`Frame::id`]. If a lost camera restarts at 1, the numbers continue
+    /// from the last one.
     pub id: u64,
-    /// Device clock, ns, where the camera tells.
+    /// Device clock, ns, if the camera reports it.
     pub timestamp_ns: Option<u64>,
-    /// What was seen of the raw frame.
+    /// Statistics of the raw frame.
     pub seen: Seen,
 }
 
-/// Where corrected frames go.
+/// Destination of corrected frames.
 pub trait Sink {
-    /// What [`Summary::sinks`] calls it.
+    /// Returns the name of the sink in [`Summary::sinks`].
     fn name(&self) -> &'static str;
 
-    /// Takes a frame, without making the stream wait.
+    /// Takes a frame without blocking the stream.
     ///
     /// # Errors
     ///
-    /// What makes going on useless: a full disk.
+    /// An error that makes continuing useless, such as a full disk.
     fn take(&mut self, frame: &Arc<Corrected>) -> Result<(), StreamError>;
 
-    /// What became of the frames.
+    /// Returns the counts of frames.
     fn counts(&self) -> SinkCounts;
 
-    /// Waits until all that was taken is done with.
+    /// Waits until all frames taken are processed.
     ///
     /// # Errors
     ///
@@ -111,81 +111,81 @@ pub trait Sink {
     }
 }
 
-/// Frames of a sink.
+/// Frame counts of a sink.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct SinkCounts {
-    /// Done with.
+    /// Frames processed.
     pub taken: u64,
-    /// Dropped, because the sink was slower than the camera.
+    /// Frames dropped because the sink was slower than the camera.
     pub dropped: u64,
 }
 
-/// Time from a frame's first packet to its corrected pixels, ms.
+/// Latency from a frame's first packet to its corrected pixels, ms.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Latency {
-    /// Half of the frames were faster.
+    /// Median.
     pub median_ms: f64,
-    /// 99 of 100 frames were faster.
+    /// 99th percentile.
     pub p99_ms: f64,
-    /// The slowest.
+    /// Maximum.
     pub worst_ms: f64,
 }
 
-/// What a stream did.
+/// Summary of a stream.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Summary {
-    /// Which camera.
+    /// Camera id.
     pub camera: String,
-    /// What came.
+    /// Counts of received frames.
     pub received: StreamCounts,
     /// Frames corrected.
     pub corrected: u64,
-    /// How often the camera was lost and found again, or its stream begun anew.
+    /// Number of times that the camera was lost and found again, or its stream restarted.
     pub reconnections: u64,
-    /// Time without the camera, s. What it sent then is not known.
+    /// Time without the camera, s. Frames sent meanwhile were not received.
     pub away_s: f64,
     /// Time of the whole run, s.
     pub seconds: f64,
     /// Frames corrected per second.
     pub frames_per_s: f64,
-    /// Raw pixels corrected, bytes per second in 16-bit codes.
+    /// Corrected raw pixels, bytes per second in 16-bit codes.
     pub bytes_per_s: f64,
-    /// `None` where the backend does not tell when a frame came.
+    /// Latency; `None` if the backend does not report when a frame came.
     pub latency: Option<Latency>,
     /// Mean of the last raw frame, DN.
     pub mean_dn: f64,
-    /// What became of the corrected frames, by sink.
+    /// Counts of the corrected frames, by sink.
     pub sinks: BTreeMap<String, SinkCounts>,
 }
 
 impl Summary {
-    /// Whether every frame that the camera sent came through to every sink.
+    /// Returns true if every frame that the camera sent reached every sink.
     pub fn is_whole(&self) -> bool {
         self.received.lost() == 0 && self.reconnections == 0 && self.sinks.values().all(|s| s.dropped == 0)
     }
 }
 
-/// Why a stream ended before it should.
+/// Reason why a stream ended early.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StreamError {
-    /// The camera.
+    /// Camera error.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The calibration.
+    /// Calibration error.
     #[error("camera {camera}: {source}")]
     Correct {
-        /// Which camera.
+        /// Camera id.
         camera: String,
-        /// What does not fit.
+        /// Mismatch.
         source: CorrectError,
     },
     /// Corrected frames cannot be written.
     #[error("{}: {message}", path.display())]
     Files {
-        /// Which file.
+        /// File.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         message: String,
     },
     /// Corrected frames cannot be written.
@@ -193,19 +193,19 @@ pub enum StreamError {
     Dataset(#[from] Box<DatasetError>),
 }
 
-/// Brings a camera to what a calibration holds for: switches off what distorts, sets format, region, gain and
-/// black level, and the exposure where one is given.
+/// Brings a camera into the state for which a calibration holds: switches off distorting features, sets
+/// format, region, gain and black level, and the exposure if given.
 ///
 /// # Errors
 ///
-/// What the camera refuses, and what still differs.
+/// A setting that the camera refuses, or the differences that remain.
 pub fn prepare(
     camera: &mut dyn Camera,
     calibration: &Calibration,
     exposure_s: Option<f64>,
 ) -> Result<Settings, StreamError> {
     let known = &calibration.description.camera;
-    // Who it is, before any setting is touched.
+    // The identity is checked before any setting is touched.
     let Identity { vendor, model, serial, .. } = camera.identity().clone();
     let found = known.differences(&CameraInfo { vendor, model, serial, ..CameraInfo::default() });
     if !found.is_empty() {
@@ -254,7 +254,7 @@ pub fn prepare(
     Err(StreamError::Correct { camera: camera.identity().id.clone(), source })
 }
 
-/// Memory for corrected frames, used again once every sink has let go.
+/// Pool of recycled buffers for corrected frames, reused once every sink has released them.
 #[derive(Default)]
 struct Pool(Vec<Arc<Corrected>>);
 
@@ -275,22 +275,22 @@ impl Pool {
     }
 }
 
-/// What is counted while it runs.
+/// Counts of a running stream.
 struct Tally {
     summary: Summary,
-    /// Nanoseconds, to three digits.
+    /// Latency, ns, to three digits.
     latency: Histogram<u64>,
     begun: Instant,
-    /// The last whole frame.
+    /// Arrival of the last complete frame.
     last: Instant,
-    /// Of streams that have ended.
+    /// Counts of streams that have ended.
     before: StreamCounts,
     pace: Pace,
     numbers: Numbers,
 }
 
-/// Frame numbers that go on where a camera that was found again begins at 1: no frame of a run has the number
-/// of another.
+/// Frame numbering that continues if a camera that was found again restarts at 1: numbers are unique within a
+/// run.
 #[derive(Debug, Default)]
 struct Numbers {
     last: u64,
@@ -308,25 +308,26 @@ impl Numbers {
     }
 }
 
-/// Frames a camera took while nobody received, by its clock: it goes on while the numbers begin anew.
+/// Estimate of frames taken while nobody received, from the camera's clock, which goes on while the numbers
+/// restart.
 #[derive(Debug, Default)]
 struct Pace {
     /// Number and time of the last frame, ns.
     last: Option<(u64, u64)>,
     period_ns: f64,
-    /// Frames in a row that kept the period.
+    /// Consecutive frames that kept the period.
     steady: u32,
-    /// Frames known to be lost since the last.
+    /// Frames known to be lost since the last one.
     known: u64,
 }
 
-/// Frames in a row that make a period, and the part by which they may differ.
+/// Consecutive frames that establish a period, and the relative tolerance (`STEADY_PART`).
 const STEADY_FRAMES: u32 = 8;
 const STEADY_PART: f64 = 0.01;
 
 impl Pace {
-    /// Takes a frame; `begun`: the first of an acquisition. The frames that were missed before it, where the
-    /// camera keeps a period and its clock has gone on.
+    /// Registers a frame; `begun`: the first of an acquisition. Returns the number of frames missed before
+    /// it, if the camera keeps a period and its clock has gone on.
     fn take(&mut self, id: u64, timestamp_ns: Option<u64>, begun: bool) -> u64 {
         let known = std::mem::take(&mut self.known);
         let (last, now) = (self.last.take(), timestamp_ns.filter(|t| *t > 0));
@@ -380,20 +381,20 @@ impl Tally {
     }
 }
 
-/// Whether it is done: stopped, or as many frames or as long as asked for.
+/// Returns true if the stream was stopped, or the requested number of frames or time is reached.
 fn done(options: &Options, tally: &Tally, stop: &AtomicBool) -> bool {
     stop.load(Ordering::Relaxed)
         || options.frames.is_some_and(|n| tally.summary.corrected >= n)
         || options.duration.is_some_and(|d| tally.begun.elapsed() >= d)
 }
 
-/// Corrects a camera's frames until it is told to stop. `open` opens the camera, and again where it was lost;
-/// `tell` hears how it stands once a second, before the camera is stopped, and at the end.
+/// Corrects a camera's frames until stopped. `open` opens the camera, also after a loss. `tell` receives the
+/// summary once a second, before the camera is stopped, and at the end.
 ///
 /// # Errors
 ///
-/// Where the camera is not there at the start or stays away, where the calibration does not hold for it, and
-/// what a sink says.
+/// The camera is absent at the start or stays away, the calibration does not hold for it, or a sink reports
+/// an error.
 pub fn run(
     open: &mut dyn FnMut() -> Result<Box<dyn Camera>, CameraError>,
     calibration: &Calibration,
@@ -404,7 +405,7 @@ pub fn run(
 ) -> Result<Summary, StreamError> {
     let mut camera = open()?;
     let identity = camera.identity().clone();
-    // After a power cycle the camera comes back with another exposure: it is set again.
+    // After a power cycle the camera may have another exposure, so it is set again.
     let exposure_s = prepare(&mut *camera, calibration, options.exposure_s)?.exposure_s;
     let mut reopen = || -> Result<Box<dyn Camera>, StreamError> {
         let mut camera = open()?;
@@ -422,7 +423,7 @@ pub fn run(
         let ended = job.stream(&mut *camera, &mut tally, sinks, tell);
         match ended {
             Ok(()) => break,
-            // A recording ends; one that never began is an error.
+            // The end of a recording is no error, except before the first frame.
             Err(StreamError::Camera(CameraError::Ended { message, .. })) if tally.summary.corrected > 0 => {
                 tracing::info!(message, "the recording has ended");
                 break;
@@ -452,7 +453,7 @@ pub fn run(
     Ok(tally.summary)
 }
 
-/// What codes mean, and the largest of them.
+/// Returns the meaning of the codes, and the largest code.
 pub fn meaning(calibration: &Calibration, corrector: &Corrector, options: &Options) -> (Codes, u16) {
     match options.codes {
         Some(codes) => (codes, u16::MAX),
@@ -463,7 +464,7 @@ pub fn meaning(calibration: &Calibration, corrector: &Corrector, options: &Optio
     }
 }
 
-/// Looks for a camera that was lost. `None`: told to stop.
+/// Searches for a lost camera. `None`: stopped.
 fn find(
     reopen: &mut dyn FnMut() -> Result<Box<dyn Camera>, StreamError>,
     options: &Options,
@@ -480,7 +481,7 @@ fn find(
                 tracing::warn!(away_s = begun.elapsed().as_secs_f64(), "the camera is back");
                 return Ok(Some(camera));
             }
-            // A camera that came back with settings that cannot be set back is not the one that was calibrated.
+            // A camera whose settings cannot be restored is not the one that was calibrated.
             Err(e @ StreamError::Correct { .. }) => return Err(e),
             Err(e) if begun.elapsed() >= options.patience => {
                 tracing::warn!(error = %e, "given up");
@@ -497,7 +498,7 @@ fn find(
     }
 }
 
-/// What does not change while it runs.
+/// Constants of a run.
 struct Job<'a> {
     corrector: Corrector,
     calibration: &'a Calibration,
@@ -509,7 +510,7 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// One acquisition, until it is done or fails.
+    /// Runs one acquisition, until it is done or fails.
     fn stream(
         &self,
         camera: &mut dyn Camera,
@@ -536,7 +537,7 @@ impl Job<'_> {
             }
             let mut taken = None;
             let numbers = &mut tally.numbers;
-            // Short waits: Ctrl-C and the end of a duration do not wait for a camera that is silent.
+            // Short timeout: Ctrl-C and the end of a duration do not wait for a silent camera.
             let wait = Duration::from_millis(200);
             let got = stream.next_arrived(&mut memory, wait, &mut |arrived| match arrived {
                 Ok(a) => {
@@ -578,11 +579,11 @@ impl Job<'_> {
                 }
             };
             if let Some(age) = age {
-                // It grows with what is put in.
+                // The histogram grows with its values.
                 let _ = tally.latency.record(u64::try_from(age.as_nanos()).unwrap_or(u64::MAX));
             }
             tally.summary.mean_dn = frame.seen.mean_dn();
-            // At the first frame a wrong calibration is told; later a line goes on.
+            // A wrong calibration is reported at the first frame only; later the line continues.
             if tally.summary.corrected == 0
                 && !self.options.force
                 && let Err(source) =
@@ -599,7 +600,7 @@ impl Job<'_> {
                 break Err(e);
             }
         };
-        // Before the camera is stopped, which takes its time.
+        // Reported before the camera is stopped, which takes time.
         tally.refresh(stream.counts(), pixels, sinks);
         tell(&tally.summary);
         let counts = stream.counts();
@@ -629,11 +630,11 @@ mod tests {
         for n in 0..20 {
             assert_eq!(pace.take(1 + n, Some(1000 + 10 * n), n == 0), 0);
         }
-        // 30 periods later its numbers begin anew: 29 frames were missed, 2 of which are known already.
+        // 30 periods later the numbers restart: 29 frames were missed, 2 of which are known already.
         pace.known = 2;
         assert_eq!(pace.take(1, Some(1190 + 300), true), 27);
         assert_eq!(pace.take(2, Some(1500), false), 0);
-        // A clock that began anew, one that tells nothing, and a camera without a period say nothing.
+        // No estimate from a clock that restarted, a missing time, or a camera without a period.
         assert_eq!(pace.take(1, Some(5), true), 0);
         assert_eq!((pace.take(2, None, false), pace.take(3, Some(900), true)), (0, 0));
         let mut odd = Pace::default();

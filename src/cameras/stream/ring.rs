@@ -1,10 +1,10 @@
-//! A bounded queue that never makes its writer wait: where it is full the oldest entry goes, and is counted.
+//! Bounded queue that drops (and counts) the oldest entry when full; writers never block.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// What is waiting, and what is known of it.
+/// State of the queue.
 #[derive(Debug)]
 struct Inside<T> {
     waiting: VecDeque<T>,
@@ -12,7 +12,7 @@ struct Inside<T> {
     closed: bool,
 }
 
-/// A bounded queue between two threads.
+/// Bounded queue between two threads.
 #[derive(Debug)]
 pub struct Ring<T> {
     inside: Mutex<Inside<T>>,
@@ -21,7 +21,7 @@ pub struct Ring<T> {
 }
 
 impl<T> Ring<T> {
-    /// A queue of at most so many entries, at least one.
+    /// Creates a queue of at most `capacity` entries, at least one.
     pub fn new(capacity: usize) -> Self {
         let waiting = VecDeque::with_capacity(capacity.max(1));
         let inside = Mutex::new(Inside { waiting, dropped: 0, closed: false });
@@ -29,11 +29,11 @@ impl<T> Ring<T> {
     }
 
     fn lock(&self) -> MutexGuard<'_, Inside<T>> {
-        // Nothing in here panics half way.
+        // No code that holds this lock panics half way.
         self.inside.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Puts an entry last; the oldest goes where there is no room.
+    /// Appends an entry; drops the oldest if the queue is full.
     pub fn push(&self, entry: T) {
         let mut inside = self.lock();
         if inside.waiting.len() >= self.capacity {
@@ -45,7 +45,7 @@ impl<T> Ring<T> {
         self.filled.notify_one();
     }
 
-    /// Waits for the oldest entry; `None` where none came in time, or none will come any more.
+    /// Waits for the oldest entry; `None` on a timeout, or if the queue is closed and empty.
     pub fn pop(&self, timeout: Duration) -> Option<T> {
         let inside = self.lock();
         let (mut inside, _) = self
@@ -55,19 +55,19 @@ impl<T> Ring<T> {
         inside.waiting.pop_front()
     }
 
-    /// Lets no more be waited for.
+    /// Closes the queue: nobody waits for entries any more.
     pub fn close(&self) {
         self.lock().closed = true;
         self.filled.notify_all();
     }
 
-    /// Whether it was closed and nothing is left in it.
+    /// Returns true if the queue is closed and empty.
     pub fn is_finished(&self) -> bool {
         let inside = self.lock();
         inside.closed && inside.waiting.is_empty()
     }
 
-    /// Entries that had to go.
+    /// Returns the number of dropped entries.
     pub fn dropped(&self) -> u64 {
         self.lock().dropped
     }
@@ -90,7 +90,8 @@ mod tests {
         assert_eq!(ring.dropped(), 7);
     }
 
-    /// A reader slower than the writer: what it gets ascends, and with what was dropped it is all that was written.
+    /// The reader is slower than the writer: entries read ascend, and with the dropped ones they are all
+    /// entries written.
     #[test]
     fn every_entry_is_read_or_counted() {
         let ring = Arc::new(Ring::new(4));

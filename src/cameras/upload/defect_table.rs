@@ -1,6 +1,8 @@
-//! A list of defective pixels by column and row, as cameras of FLIR (Blackfly S, Oryx) have it, and the served camera.
+//! List of defective pixels by column and row, as in FLIR cameras (Blackfly S, Oryx) and in the served
+//! camera.
 //!
-//! Their description: a count, an index, the coordinates behind it (of the whole sensor), and a command that takes the list over.
+//! FLIR's interface: a count, an index, the coordinates at the index (on the whole sensor), and a command
+//! that applies the list.
 
 use super::{Content, Map, Memory, UploadError, Written, save, switch_on};
 use crate::camera::{Camera, Value};
@@ -29,7 +31,7 @@ fn write(
     let mut remarks = Vec::new();
     let room = camera.largest(COUNT).map_or(usize::MAX, |most| most as usize);
     if found.len() > room {
-        // Those whose correction is worst without the list come first.
+        // Pixels with the worst correction without the list come first.
         let k = &content.calibration.k;
         found.sort_by(|a, b| (k[*b] - 1.0).abs().total_cmp(&(k[*a] - 1.0).abs()));
         remarks.push(format!(
@@ -46,7 +48,7 @@ fn write(
             return Err(UploadError::Interrupted);
         }
         camera.set_feature(INDEX, &Value::Int(index as i64))?;
-        // Setting reads back.
+        // Setting a feature reads it back.
         camera.set_feature(COORDINATES[0], &Value::Int(x as i64))?;
         camera.set_feature(COORDINATES[1], &Value::Int(y as i64))?;
     }

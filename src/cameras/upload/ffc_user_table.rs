@@ -1,7 +1,7 @@
-//! A table of an offset and a factor of each column, as cameras of FLIR (Blackfly S, Oryx) have it.
+//! Table with an offset and a factor for each column, as in FLIR cameras (Blackfly S, Oryx).
 //!
-//! Their description of flat-field correction: P = gain (U + offset), by column, U being the uncorrected and P the corrected pixel. The unit of
-//! an offset is "16-bit": of a full scale of 65535.
+//! FLIR's flat-field correction: P = gain (U + offset), by column, with U the uncorrected and P the corrected
+//! pixel. The unit of an offset is "16-bit": relative to a full scale of 65535.
 
 use super::{Content, Map, Memory, UploadError, Written, save, switch_on};
 use crate::camera::{Camera, Value};
@@ -20,7 +20,7 @@ pub const MEMORY: Memory = Memory {
     write,
 };
 
-/// Largest difference of a factor that was written and reads back, relative: its steps are not documented.
+/// Maximum relative difference between a written factor and its readback: the steps are not documented.
 const GAIN_STEP: f64 = 1e-3;
 
 fn write(
@@ -43,7 +43,8 @@ fn write(
         if !go_on(column as f64 / columns as f64) {
             return Err(UploadError::Interrupted);
         }
-        // The dark level of the column comes to that of the sensor: P = black + (U - dark) / K = (U + black K - dark) / K.
+        // Maps the dark level of the column to that of the sensor: P = black + (U - dark) / K = (U + black K
+        // - dark) / K.
         let gain = 1.0 / f64::from(k);
         let offset_dn = f64::from(content.flat_field.black_dn()) * f64::from(k) - f64::from(dark_dn);
         let offset = (offset_dn / full_dn * 65_535.0).round();

@@ -1,7 +1,8 @@
-//! A calibration in a camera's own memory: the camera then corrects its frames itself, and any software receives corrected images.
+//! Upload of a calibration into a camera's own memory. The camera then corrects its frames itself, and any
+//! software receives corrected images.
 //!
-//! A kind of memory is one file here, with its `Memory`, and one line below. The layout of a file of coefficients is its maker's: one that
-//! radcam does not know is not written.
+//! Each kind of memory is one file here, with its `Memory`, and one line below. Coefficient files have a
+//! proprietary layout; an unknown layout is not written.
 
 use crate::calibrate::file::Calibration;
 use crate::camera::{Camera, CameraError, Value};
@@ -14,7 +15,7 @@ macro_rules! memories {
     ($($module:ident)*) => {
         $(mod $module;)*
 
-        /// Every kind of memory, of each map the best first.
+        /// All kinds of memory; for each map, the best first.
         static MEMORIES: &[Memory] = &[$($module::MEMORY),*];
     };
 }
@@ -25,115 +26,115 @@ memories! {
     defect_table
 }
 
-/// What a memory holds.
+/// Contents of a memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Map {
     /// Offsets and factors.
     FlatField,
-    /// A list of pixels.
+    /// List of defective pixels.
     Defects,
 }
 
-/// A kind of memory.
+/// Kind of camera memory.
 struct Memory {
     map: Map,
-    /// What it is, in words.
+    /// Name, in words.
     name: &'static str,
-    /// Features without which a camera has none of this kind.
+    /// Features required for this kind of memory.
     features: &'static [&'static str],
-    /// Entry of `FileSelector` without which a camera has none of this kind.
+    /// Entry of `FileSelector` required for this kind of memory.
     file: Option<&'static str>,
     write: Write,
 }
 
-/// Writes what is to be written. It tells the share that is done, and stops where it is answered false.
+/// Function that writes the content. It reports the share done, and stops when the answer is false.
 type Write = fn(&mut dyn Camera, &Content<'_>, &mut dyn FnMut(f64) -> bool) -> Result<Written, UploadError>;
 
-/// What is to be written.
+/// Content to write.
 struct Content<'a> {
     calibration: &'a Calibration,
     flat_field: FlatField,
-    /// Coefficients that were cut.
+    /// Number of clipped coefficients.
     cut: usize,
     exposure_s: f64,
-    /// Also for the time after the camera was switched off, where that is a command of its own.
+    /// Saves the tables beyond power-off, if that is a command of its own.
     save: bool,
 }
 
-/// What one memory took.
+/// Result for one memory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Written {
-    /// What it holds.
+    /// Map in the memory.
     pub map: Map,
-    /// The memory, in words.
+    /// Name of the memory, in words.
     pub memory: String,
-    /// Pixels, columns or defects written, read back and found the same.
+    /// Number of pixels, columns or defects written and verified by readback.
     pub entries: usize,
-    /// What was lost on the way: rounding, what did not fit.
+    /// Losses: rounding, and entries that did not fit.
     pub remarks: Vec<String>,
-    /// Features that were set so that the camera uses it.
+    /// Features set to activate the correction.
     pub switched_on: Vec<String>,
 }
 
-/// What was written.
+/// Result of an upload.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Uploaded {
-    /// The camera.
+    /// Camera.
     pub camera: String,
     /// Exposure for which the offsets hold, s.
     pub exposure_s: f64,
-    /// Code at 0 DN above the dark reference.
+    /// Output code at 0 DN above the dark reference.
     pub black_dn: u16,
-    /// Each memory.
+    /// Results of each memory.
     pub written: Vec<Written>,
-    /// Maps for which the camera has no memory that radcam can write.
+    /// Maps without a memory that radcam can write.
     pub without: Vec<Map>,
 }
 
-/// Why a calibration was not written.
+/// Reason why a calibration was not written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UploadError {
-    /// The camera.
+    /// Camera.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The camera is not the one that was calibrated, or is set otherwise.
+    /// The camera is not the calibrated one, or has other settings.
     #[error(transparent)]
     Prepare(#[from] StreamError),
-    /// The dark reference does not reach to the exposure.
+    /// The dark reference does not cover the exposure.
     #[error(transparent)]
     Correct(#[from] CorrectError),
-    /// Nothing can be written.
+    /// No writable memory, or the memory failed.
     #[error("camera {camera}: {message}")]
     Memory {
-        /// Which camera.
+        /// Camera id.
         camera: String,
-        /// Why, and what to do.
+        /// Reason, and what to do.
         message: String,
     },
-    /// Told to stop.
+    /// Stopped on request.
     #[error("interrupted: the camera's memory holds a part of the maps, and is switched off")]
     Interrupted,
 }
 
-/// How a calibration is written.
+/// Options of an upload.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Options {
-    /// Exposure for which the offsets are to hold, s; otherwise the one at which the camera stands.
+    /// Exposure for which the offsets hold, s; `None`: the current exposure of the camera.
     pub exposure_s: Option<f64>,
-    /// Also for the time after the camera was switched off, where that is a command of its own.
+    /// Saves the tables beyond power-off, if that is a command of its own.
     pub save: bool,
 }
 
-/// Writes a calibration into a camera's own memory, reads it back, and switches it on. `go_on` hears the share that is done, and ends it by
-/// false.
+/// Writes a calibration into a camera's own memory, reads it back, and switches it on. `go_on` receives the
+/// share done; returning false stops the upload.
 ///
 /// # Errors
 ///
-/// Where the camera is not the one that was calibrated, has no memory that is known, or refuses.
+/// The camera is not the calibrated one, has no known memory, or refuses.
 pub fn upload(
     camera: &mut dyn Camera,
     calibration: &Calibration,
@@ -143,7 +144,7 @@ pub fn upload(
     let settings = prepare(camera, calibration, options.exposure_s)?;
     let id = camera.identity().id.clone();
     let fault = |message: String| UploadError::Memory { camera: id.clone(), message };
-    // Files and lists are of the whole sensor.
+    // Files and lists cover the whole sensor.
     let (region, whole) = (settings.region, camera.capabilities());
     if (f64::from(region.width), f64::from(region.height)) != (whole.width.max, whole.height.max) {
         return Err(fault(format!(
@@ -182,7 +183,7 @@ pub fn upload(
     Ok(Uploaded { camera: id, exposure_s: content.exposure_s, black_dn, written, without })
 }
 
-/// Sets a feature and says so.
+/// Sets a feature and records it in `said`.
 fn switch_on(
     camera: &mut dyn Camera,
     name: &str,
@@ -194,7 +195,7 @@ fn switch_on(
     Ok(())
 }
 
-/// Executes a command that keeps a table, where that is wanted and there is one.
+/// Executes a command that saves a table, if requested and available.
 fn save(
     camera: &mut dyn Camera,
     content: &Content<'_>,
@@ -225,7 +226,7 @@ mod tests {
     use ndarray::Array2;
     use std::collections::BTreeMap;
 
-    /// A camera with tables as FLIR describes them: a value for each index.
+    /// Camera with tables as described by FLIR: a value for each index.
     struct Flir {
         identity: Identity,
         capabilities: Capabilities,
@@ -324,8 +325,8 @@ mod tests {
         }
     }
 
-    /// The tables say what eq. (51) says, by column: their formula takes the dark level of each column to that of the sensor, and its signal by
-    /// 1/K. Of three defects two fit.
+    /// The tables implement eq. (51) by column: the dark level of each column is mapped to that of the
+    /// sensor, and its signal is multiplied by 1/K. Two of three defects fit.
     #[test]
     fn tables_of_columns_and_of_defects_are_filled() {
         let shape = (SIZE.1 as usize, SIZE.0 as usize);
@@ -369,13 +370,13 @@ mod tests {
         for x in 0..8 {
             let (dark_dn, k) = (100.0 + 8.0 * x as f64, 0.9 + 0.03 * x as f64);
             let p = |u: f64| number(&camera, "FfcUserGain", x) * (u + number(&camera, "FfcUserOffset", x));
-            // An offset is a whole number.
+            // Tolerance 0.6 DN: an offset is a whole number.
             assert!((p(dark_dn) - f64::from(done.black_dn)).abs() < 0.6, "{x}");
             assert!((p(dark_dn + 9000.0 * k) - p(dark_dn) - 9000.0).abs() < 0.1, "{x}");
         }
         let places =
             [0, 1].map(|i| ["X", "Y"].map(|c| number(&camera, &format!("DefectTableCoordinate{c}"), i)));
-        // (2, 7) has the K that is farthest from 1, then (0, 2).
+        // (2, 7) has the largest |K - 1|, then (0, 2).
         assert_eq!(places, [[2.0, 0.0], [7.0, 2.0]]);
         let save = Options { save: true, ..Options::default() };
         upload(&mut camera, &calibration, save, &mut |_| true).unwrap();

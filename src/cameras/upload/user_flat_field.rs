@@ -1,5 +1,5 @@
-//! A file of offsets and factors of every pixel, in the layout of [`FlatField::to_bytes`](crate::flat_field::FlatField::to_bytes): that of the
-//! served camera.
+//! File with an offset and a factor for every pixel, in the layout of
+//! [`FlatField::to_bytes`](crate::flat_field::FlatField::to_bytes), as in the served camera.
 
 use super::{Content, Map, Memory, UploadError, Written, switch_on};
 use crate::camera::{Camera, Value};
@@ -29,7 +29,7 @@ fn write(
         going
     };
     let moved = camera.write_file(FILE, &bytes, &mut |done| part(0.0, done)).and_then(|()| {
-        // One byte more than there should be shows a file that is longer.
+        // Reading one byte more detects a longer file.
         camera.read_file(FILE, bytes.len() + 1, &mut |done| part(0.5, done))
     });
     let read = match moved {

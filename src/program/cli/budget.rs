@@ -23,7 +23,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Mean and variance of a part of a map.
+/// Returns mean and variance of a part of a map.
 fn moments(view: ArrayView2<'_, f32>) -> (f64, f64) {
     let n = view.len() as f64;
     let mean = view.iter().map(|&v| f64::from(v)).sum::<f64>() / n;

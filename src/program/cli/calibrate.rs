@@ -14,7 +14,7 @@ use anyhow::{Result, bail};
 use ndarray::Array2;
 use std::path::PathBuf;
 
-/// Defects named on the terminal.
+/// Maximum number of defects listed on the terminal.
 const LISTED: usize = 10;
 
 #[derive(Debug, clap::Args)]
@@ -49,13 +49,13 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Numbers of defects by kind; a pixel may have several.
+/// Counts the defects by kind; a pixel may have several.
 fn counts(defects: &[Defect]) -> [(&'static str, usize); 4] {
     [(HOT, "hot"), (DEAD, "dead"), (UNSTABLE, "unstable"), (BLIND, "blind")]
         .map(|(flag, name)| (name, defects.iter().filter(|d| d.flags & flag != 0).count()))
 }
 
-/// Returns mean and spread over the pixels without a defect.
+/// Returns mean and standard deviation over the pixels without a defect.
 fn of_sound(calibration: &Calibration, values: &Array2<f32>) -> (f64, f64) {
     let sound = || values.iter().zip(&calibration.defects).filter(|(_, flags)| **flags == 0);
     let n = sound().count().max(1) as f64;
@@ -64,7 +64,7 @@ fn of_sound(calibration: &Calibration, values: &Array2<f32>) -> (f64, f64) {
     (mean, (square / n).sqrt())
 }
 
-/// Columns and rows that are blind as a whole, in words.
+/// Lists the columns and rows that are blind as a whole.
 fn places(calibration: &Calibration) -> String {
     let blind = calibration.defects.mapv(|flags| flags & BLIND != 0);
     let lines = |axis: usize, name: &str| {
@@ -87,7 +87,7 @@ fn places(calibration: &Calibration) -> String {
     if named.is_empty() { format!("{n} pixels") } else { format!("{n} pixels ({})", named.join("; ")) }
 }
 
-/// The side of a window has a middle.
+/// Parses the side of a window: odd, so that the window has a centre pixel.
 fn window(text: &str) -> Result<usize, String> {
     match text.parse::<usize>() {
         Ok(side) if side >= 3 && side % 2 == 1 => Ok(side),
@@ -118,7 +118,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if let Some(side) = arguments.window.filter(|side| *side > camera.width.min(camera.height)) {
         bail!("--window {side}: frames have {} x {} px", camera.width, camera.height);
     }
-    // A calibration campaign may have one level only; then it says nothing of the noise.
+    // A calibration campaign may have only one level; the noise is then unknown.
     let noise = noise::of_dataset(&dataset, &STOP, &mut |_, _| {}).ok();
     let provenance = format!("radcam {} from {}", env!("CARGO_PKG_VERSION"), arguments.dataset.display());
     let Calibrated { calibration, mut defects, data_faults, levels, left_out, has_card } =
@@ -158,7 +158,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         counts(&defects).into_iter().filter(|(_, n)| *n > 0).map(|(name, n)| format!("{n} {name}")).collect();
     let kinds = if kinds.is_empty() { String::new() } else { format!(": {}", kinds.join(", ")) };
     println!("  defects          {} of {} pixels{kinds}", defects.len(), calibration.k.len());
-    // Blind ones lie side by side: their place says more than a list.
+    // Blind pixels are contiguous: their rows and columns say more than a list.
     let blind = defects.iter().any(|d| d.flags & BLIND != 0);
     defects.retain(|d| d.flags & BLIND == 0);
     for d in defects.iter().take(LISTED) {

@@ -36,7 +36,7 @@ pub struct Arguments {
     stream: StreamArguments,
 }
 
-/// `x,y,w,h`.
+/// Parses `x,y,w,h`.
 pub fn region(text: &str) -> Result<[u32; 4], String> {
     let numbers: Vec<u32> = text
         .split(',')
@@ -96,7 +96,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(Outcome::Agreement)
 }
 
-/// Captures with progress on standard error.
+/// Captures a plan; reports progress on standard error.
 pub fn capture(
     camera: &mut dyn Camera,
     bench: &mut dyn Illuminator,
@@ -112,7 +112,7 @@ pub fn capture(
     Ok(if resume { capture.resume(root)? } else { capture.run(plan, root)? })
 }
 
-/// The result in words.
+/// Prints the result of a capture.
 pub fn tell(summary: &Summary, root: &Path, json: bool) -> Result<()> {
     if json {
         let c = summary.counts;

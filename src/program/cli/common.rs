@@ -1,4 +1,4 @@
-//! What several verbs need: logs, interruption, cameras by name, plans by name.
+//! Shared by several commands: logs, interruption, cameras by name, plans by name.
 
 use crate::bench::{self, Illuminator};
 use crate::camera::{Camera, sim};
@@ -12,11 +12,11 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Set by Ctrl-C or SIGTERM; the second one ends the program at once, the first after [`GRACE`] unless the
-/// verb has [`heard`].
+/// Set by Ctrl-C or SIGTERM. A second signal ends the program at once. The first ends it after [`GRACE`], or
+/// later if the command has called [`heard`].
 pub static STOP: AtomicBool = AtomicBool::new(false);
 
-/// Exit code of a run that Ctrl-C ended, as shells have it: 128 and the signal's number.
+/// Exit code of a run interrupted by Ctrl-C; shell convention: 128 plus the signal number.
 pub const INTERRUPTED: u8 = 130;
 
 pub fn start_logging(verbose: u8) {
@@ -38,16 +38,18 @@ pub fn start_logging(verbose: u8) {
         .init();
 }
 
-/// Time in which a verb has to hear a signal: what waits for a camera, a file system or a long sum does not.
+/// Deadline for a command to react to a signal. Blocking waits for a camera or a file system, and long sums,
+/// miss it.
 const GRACE: Duration = Duration::from_millis(600);
-/// Time that a verb which has heard it may take to write what it has (a named choice; a second signal ends it
+/// Extra time for a command that has reacted, to write its results (a named choice; a second signal ends it
 /// at once).
 const TO_FINISH: Duration = Duration::from_secs(10);
 
 /// Set by [`heard`].
 static HEARD: AtomicBool = AtomicBool::new(false);
 
-/// Tells that a verb has heard the signal and is about to end: files and summaries are written to their end.
+/// Records that a command has reacted to the signal and is about to end, so that files and summaries are
+/// completed.
 pub fn heard() {
     HEARD.store(true, Ordering::SeqCst);
 }
@@ -71,13 +73,13 @@ pub fn catch_interrupts() {
     }
 }
 
-/// A sensor by name or from a model file, with another seed where wanted.
+/// Loads a sensor by name or a model file, with another seed if given.
 pub fn load_model(name: &str, seed: Option<u64>) -> Result<Model> {
     sim::model(name, seed).map_err(anyhow::Error::msg)
 }
 
-/// A plan by name or from a file; the plan of a campaign that is continued, which is that one where it is
-/// named again.
+/// Loads a plan by name or from a file. With `resume`, loads the plan of the campaign; a plan named again
+/// must match it.
 pub fn load_plan(name: Option<&str>, resume: bool, root: &Path) -> Result<Plan> {
     if !resume {
         return plan_of(name.unwrap_or("standard"));
@@ -93,7 +95,7 @@ pub fn load_plan(name: Option<&str>, resume: bool, root: &Path) -> Result<Plan> 
     let plan = Plan::from_toml(&text).with_context(|| stored.display().to_string())?;
     let Some(name) = name else { return Ok(plan) };
     let given = plan_of(name)?;
-    // Exposures stand in seconds where the campaign has begun, and the camera may have taken the nearest.
+    // A started campaign stores exposures in seconds, rounded to the camera's steps; they are not compared.
     let same = |a: &SetPlan, b: &SetPlan| {
         (a.kind, a.frames, a.configuration) == (b.kind, b.frames, b.configuration)
             && a.illumination == b.illumination
@@ -118,14 +120,14 @@ fn plan_of(name: &str) -> Result<Plan> {
     Plan::from_toml(&text).with_context(|| name.to_string())
 }
 
-/// A camera by its name, with the bench that belongs to it.
+/// Opens a camera by name, with its bench.
 pub fn open_camera(name: &str, plan: &Plan) -> Result<(Box<dyn Camera>, Box<dyn Illuminator>)> {
     let mut camera = crate::camera::open(name)?;
     let bench = bench::of(&mut *camera, plan);
     Ok((camera, bench))
 }
 
-/// Refuses files that cannot be written, before anything is computed.
+/// Checks that files can be written, before anything is computed.
 pub fn can_be_written<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
     for path in paths {
         let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -138,13 +140,13 @@ pub fn can_be_written<'a>(paths: impl IntoIterator<Item = &'a PathBuf>) -> Resul
     Ok(())
 }
 
-/// Makes the folders of a relative path below an output folder; refuses links.
+/// Creates the folders of a relative path below an output folder; refuses links.
 pub fn folders_below(root: &Path, relative: &Path) -> Result<()> {
     let made = crate::output::folders_below(root, relative);
     made.map_err(|(path, e)| anyhow::Error::new(e).context(path.display().to_string()))
 }
 
-/// Refuses to write over a file unless that is asked for.
+/// Refuses to overwrite a file unless requested.
 pub fn may_be_written(path: &PathBuf, overwrite: bool) -> Result<()> {
     if path.exists() && !overwrite {
         bail!("{} is there already; --overwrite writes over it", path.display());
@@ -152,7 +154,7 @@ pub fn may_be_written(path: &PathBuf, overwrite: bool) -> Result<()> {
     can_be_written([path])
 }
 
-/// A finite number above 0.
+/// Parses a finite number above 0.
 pub fn above_0(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
@@ -160,16 +162,16 @@ pub fn above_0(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A time in seconds above 0.
+/// Parses a time in seconds above 0.
 pub fn seconds(text: &str) -> Result<Duration, String> {
     let known = above_0(text).ok().and_then(|s| Duration::try_from_secs_f64(s).ok());
-    // Clocks are added to it.
+    // The limit allows the time to be added to a clock.
     known
         .filter(|d| *d <= Duration::from_secs(1_000_000_000))
         .ok_or("write a number of seconds above 0, no more than 1e9".into())
 }
 
-/// What to say of a name that none of the effects has.
+/// Returns the message for an unknown effect, with similar names.
 pub fn no_effect<'a>(id: &str, known: impl Iterator<Item = &'a str>) -> String {
     let plain = |text: &str| text.to_lowercase().replace(['_', ' '], "-");
     let wanted = plain(id);
@@ -186,7 +188,7 @@ pub fn no_effect<'a>(id: &str, known: impl Iterator<Item = &'a str>) -> String {
     }
 }
 
-/// Columns of the terminal, up to what is easily read; of a file or a pipe 100.
+/// Returns the columns of the terminal, clamped to a readable width; 100 for a file or a pipe.
 pub fn width() -> usize {
     use std::io::IsTerminal;
     const USUAL: usize = 100;
@@ -196,12 +198,13 @@ pub fn width() -> usize {
     columns.clamp(*READABLE.start(), *READABLE.end())
 }
 
-/// Text broken into lines of the terminal's width, each behind so many spaces.
+/// Breaks a text into lines of the terminal's width, each indented by `indent` spaces.
 pub fn wrapped(text: &str, indent: usize) -> String {
     item(&" ".repeat(indent), text, indent)
 }
 
-/// Text broken into lines behind a mark: `  note: ` before the first line, so many spaces before the others.
+/// Breaks a text into lines, with a head such as `  note: ` before the first and `indent` spaces before the
+/// others.
 pub fn item(head: &str, text: &str, indent: usize) -> String {
     let last_line = head.rsplit('\n').next().unwrap_or(head);
     let first = width().saturating_sub(last_line.chars().count());
@@ -209,10 +212,10 @@ pub fn item(head: &str, text: &str, indent: usize) -> String {
     format!("{head}{}", lines.join(&format!("\n{}", " ".repeat(indent))))
 }
 
-/// Lines of a text, the first and the others of so many columns at most. A value stays on one line with its error
-/// and unit.
+/// Breaks a text into lines with a maximum length for the first and for the others. A value stays on one line
+/// with its error and unit.
 pub fn lines_of(text: &str, first: usize, others: usize) -> Vec<String> {
-    /// Signs and units that do not begin a line.
+    /// Signs and units that must not begin a line.
     const BELONG: [&str; 12] = ["±", "%", "DN", "DN²", "DN/e⁻", "DN/s", "e⁻", "e⁻/s", "s", "1/s", "Hz", "px"];
     let belongs = |before: &str, word: &str| {
         let word = word.trim_end_matches(|c: char| ",;:.)".contains(c));
@@ -241,7 +244,7 @@ pub fn lines_of(text: &str, first: usize, others: usize) -> Vec<String> {
     lines
 }
 
-/// A path or another word as a shell takes it.
+/// Quotes a path or another word for a shell.
 pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "/._-+=:,@%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
@@ -250,7 +253,7 @@ pub fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
-/// `row,column` of a 2 x 2 cell.
+/// Parses `row,column` of a 2 x 2 cell.
 pub fn plane(text: &str) -> Result<[u8; 2], String> {
     let numbers: Vec<&str> = text.split(',').map(str::trim).collect();
     match numbers[..] {
@@ -267,7 +270,7 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// `scale,offset`.
+/// Parses `scale,offset`.
 pub fn codes(text: &str) -> Result<Codes, String> {
     let numbers: Vec<f32> = text
         .split(',')
@@ -281,14 +284,14 @@ pub fn codes(text: &str) -> Result<Codes, String> {
     }
 }
 
-/// Prints what was wrong with the data.
+/// Prints the data faults.
 pub fn say_faults(faults: &[DataFault]) {
     for fault in faults {
         println!("{}", item("  ", &fault.to_string(), 4));
     }
 }
 
-/// An error with what was left out before it.
+/// Adds the preceding data faults to an error.
 pub fn after_faults<T, E: Into<anyhow::Error>>(result: Result<T, E>, faults: &[DataFault]) -> Result<T> {
     result.map_err(|e| {
         let texts: Vec<&str> = faults.iter().map(|f| f.text.as_str()).collect();
@@ -304,7 +307,7 @@ pub fn after_faults<T, E: Into<anyhow::Error>>(result: Result<T, E>, faults: &[D
 mod tests {
     use super::*;
 
-    /// No value is parted from its error and unit, and every line keeps to its columns.
+    /// A value is never separated from its error and unit, and no line exceeds its columns.
     #[test]
     fn values_stay_with_their_units() {
         let text = "gain 0.5010 ± 0.0016 DN/e⁻, 28 % more signal, in 3 s (of 12 DN).";

@@ -107,20 +107,20 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(Outcome::Agreement)
 }
 
-/// A frame to be corrected, and where it goes.
+/// Frame to be corrected, with its output path.
 struct Job {
     input: Input,
     output: PathBuf,
 }
 
 enum Input {
-    /// A frame of a dataset, by its row.
+    /// Row of a frame in a dataset.
     Row(Arc<Dataset>, usize),
     Plain(PathBuf),
 }
 
 impl Job {
-    /// The frame and its exposure.
+    /// Reads the frame and its exposure.
     fn read(
         &self,
         calibration: &Calibration,
@@ -154,7 +154,7 @@ impl Job {
         }
     }
 
-    /// Makes the folders of the output below the folder that the user named.
+    /// Creates the output folders below the folder named by the user.
     fn make_folder(&self, root: &Path) -> Result<()> {
         let folder = folder_of(&self.output);
         match folder.strip_prefix(root) {
@@ -163,7 +163,7 @@ impl Job {
         }
     }
 
-    /// The file that is read.
+    /// Returns the input file.
     fn source(&self) -> PathBuf {
         match &self.input {
             Input::Row(dataset, row) => {
@@ -175,7 +175,7 @@ impl Job {
     }
 }
 
-/// Every frame of the inputs.
+/// Lists all frames of the inputs.
 fn jobs(arguments: &Arguments) -> Result<Vec<Job>> {
     let output = &arguments.output;
     let folder = output.is_dir() || output.to_string_lossy().ends_with(std::path::is_separator);
@@ -209,7 +209,7 @@ fn jobs(arguments: &Arguments) -> Result<Vec<Job>> {
     Ok(jobs)
 }
 
-/// Refuses outputs that are two frames', that are read, or that are there already.
+/// Refuses an output that two frames share, that is also an input, or that exists already.
 fn free(jobs: &[Job], arguments: &Arguments) -> Result<()> {
     let mut taken = BTreeSet::new();
     let whole = |path: &Path| path.canonicalize().ok();
@@ -237,7 +237,8 @@ fn free(jobs: &[Job], arguments: &Arguments) -> Result<()> {
 fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()> {
     let calibrated = &calibration.description.camera;
     let mut found = calibrated.differences(now);
-    // Files that state nothing begin with the upper row, and nothing says that those of the calibration did.
+    // Without a stated row order the top row comes first by default, but the frames of the calibration may
+    // differ.
     if row_order_of(now) == Some(BOTTOM_UP) && row_order_of(calibrated).is_none() {
         found.push(format!(
             "its rows run from the bottom to the top ({ROW_ORDER}), and the calibration does not state how its own do"
@@ -251,8 +252,8 @@ fn check(calibration: &Calibration, now: &CameraInfo, force: bool) -> Result<()>
     Err(CorrectError::Settings(found.join("; ") + advice).into())
 }
 
-/// Notes on frames: what a calibration knows and they do not state. Of many frames with a note of one kind the
-/// first is named.
+/// Notes on frames, such as facts that the calibration states and the frames do not. For many frames with the
+/// same kind of note, the first is named.
 #[derive(Debug, Default)]
 pub struct Notes {
     texts: Vec<String>,
@@ -267,7 +268,7 @@ impl Notes {
         }
     }
 
-    /// Notes on the camera and its settings under which a frame was taken.
+    /// Notes settings of a frame that cannot be compared with the calibration, and a different temperature.
     fn compare(&mut self, file: &Path, calibrated: &CameraInfo, now: &CameraInfo) {
         for text in unknown(calibrated, now) {
             self.say(file, &text.clone(), text);
@@ -289,11 +290,11 @@ impl Notes {
         }
     }
 
-    /// Holds a frame against the dark reference at its exposure and the range of the codes.
+    /// Compares a frame with the dark reference at its exposure and with the range of the codes.
     ///
     /// # Errors
     ///
-    /// That the frame is darker than the dark reference, unless `force` says that this is known.
+    /// The frame is darker than the dark reference, unless `force` accepts that.
     pub fn look(
         &mut self,
         file: &Path,
@@ -335,7 +336,7 @@ impl Notes {
         Ok(())
     }
 
-    /// Notes on codes that do not hold the corrected values.
+    /// Notes output codes that clip the corrected values.
     fn cut(&mut self, file: &Path, cut: Cut) {
         for (share, code, advice) in
             [(cut.low, 0, "a larger OFFSET"), (cut.high, u16::MAX, "a smaller SCALE")]
@@ -352,7 +353,7 @@ impl Notes {
     }
 }
 
-/// Properties of camera and settings that one side does not state, so that they cannot be compared.
+/// Returns the properties of camera and settings that one side does not state and that cannot be compared.
 pub fn unknown(calibrated: &CameraInfo, now: &CameraInfo) -> Vec<String> {
     let (here, there) = (calibrated.unstated(now), now.unstated(calibrated));
     let here = (!here.is_empty())
@@ -362,20 +363,20 @@ pub fn unknown(calibrated: &CameraInfo, now: &CameraInfo) -> Vec<String> {
     here.into_iter().chain(there).collect()
 }
 
-/// Share of clipped pixels that is said: hot pixels of usual sensors are fewer.
+/// Share of clipped pixels above which a note is made; usual sensors have fewer hot pixels.
 const CLIPPED: f64 = 1e-3;
-/// Difference of temperature that is said, °C: dark current doubles in some 6 to 8 °C.
+/// Temperature difference above which a note is made, °C. Dark current doubles in some 6 to 8 °C.
 const FAR_C: f64 = 3.0;
 
-/// A frame outside a dataset, and the exposure under which it was taken.
+/// Frame outside a dataset, with its exposure.
 pub struct Plain {
     pub pixels: Array2<u16>,
     pub exposure_s: f64,
 }
 
 impl Plain {
-    /// Reads a frame and holds what it, its name, or the dataset in whose folder it lies, says of camera and
-    /// settings against the calibration. A frame that says nothing tells its size and its codes.
+    /// Reads a frame and compares camera and settings with the calibration. The facts come from the frame,
+    /// its name, or the dataset of its folder. A frame without stated facts is checked by its size and codes.
     pub fn read(
         path: &Path,
         calibration: &Calibration,
@@ -403,7 +404,7 @@ impl Plain {
                 for text in &facts.overruled {
                     notes.say(path, text, text.clone());
                 }
-                // A calibration of whole frames is one of their overscan too.
+                // A calibration of whole frames includes their overscan.
                 if pixels.dim() != calibration.k.dim() && !force {
                     let region = region_of(&facts, pixels.dim()).map_err(anyhow::Error::msg);
                     if let Some(region) = region.with_context(named)? {
@@ -421,7 +422,7 @@ impl Plain {
             let stored = image::stored_bits(path).with_context(named)?;
             let largest = pixels.iter().fold(0, |a, b| a | b);
             let up = largest.trailing_zeros();
-            // Codes in the upper bits of what they are stored in; the noise of any frame fills single codes.
+            // Codes stored in the upper bits: the noise of any unshifted frame fills single codes.
             let is_upper = u32::from(calibrated.bit_depth) + up == u32::from(stored);
             if largest > 255 && up >= 2 && (is_upper || !force) {
                 if !is_upper {
@@ -450,7 +451,7 @@ impl Plain {
                 )))
                 .with_context(named);
             }
-            // Darks of stretched codes lie within the range of the calibration's bits.
+            // Stretched dark frames pass the range check above: their codes fit into the calibration's bits.
             if let Some(found) = stretch(&pixels).filter(|_| stored > calibrated.bit_depth && !force) {
                 return Err(CorrectError::Settings(format!(
                     "codes count in steps of {}: those of fewer bits, stretched to more, and the calibration is of codes in steps of 1; \
@@ -485,7 +486,7 @@ impl Plain {
             );
             exposure_s
         });
-        // A bias frame has none.
+        // A bias frame has an exposure of 0.
         if !(0.0..=MAX_EXPOSURE_S).contains(&exposure_s) {
             bail!(
                 "{}: states an exposure of {exposure_s} s, which cannot be; give --exposure-s",
@@ -496,11 +497,11 @@ impl Plain {
     }
 }
 
-/// Turns the rows of a frame that run the other way than the calibration's, by what both headers state.
+/// Flips the rows of a frame whose stated row order differs from the calibration's.
 ///
 /// # Errors
 ///
-/// A mosaic is refused: turned its pattern would be another.
+/// A mosaic is refused: flipping would change its colour pattern.
 fn turn(
     pixels: &mut Array2<u16>,
     facts: &mut Facts,
@@ -534,14 +535,14 @@ fn row_order_of(camera: &CameraInfo) -> Option<&str> {
     camera.features.get(ROW_ORDER).and_then(|order| order.as_str())
 }
 
-/// Step of codes that were stretched to more bits.
+/// Returns the step of codes that were stretched to more bits.
 fn stretch(pixels: &Array2<u16>) -> Option<Stretch> {
     let mut occurring = Occurring::default();
     occurring.add(pixels.as_standard_layout().as_slice().unwrap_or_default());
     occurring.stretch()
 }
 
-/// What a corrected image says of itself.
+/// Returns the description stored in a corrected image.
 pub(super) fn description(calibration: &Path, codes: Option<Codes>, corrector: &Corrector) -> String {
     serde_json::json!({
         "format": CORRECTED,
@@ -554,7 +555,7 @@ pub(super) fn description(calibration: &Path, codes: Option<Codes>, corrector: &
     .to_string()
 }
 
-/// Shares of pixels whose codes are cut off at 0 and at the largest.
+/// Shares of pixels clipped at code 0 and at the largest code.
 #[derive(Debug, Clone, Copy, Default)]
 struct Cut {
     low: f64,

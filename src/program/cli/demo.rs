@@ -37,7 +37,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Largest side of the region that the demo captures: a campaign of some 40 MB.
+/// Maximum size of the region that the demo captures: a campaign of about 40 MB.
 const REGION: (u32, u32) = (320, 256);
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
@@ -46,7 +46,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let hidden = hide(&arguments.hide, &mut model, seed)?;
     let (width, height) = (model.camera.width.min(REGION.0), model.camera.height.min(REGION.1));
     if hidden.is_some() {
-        // The whole sensor is drawn for an effect that reaches across it: a small one is enough.
+        // The whole sensor is simulated for an effect that extends across it; a small sensor suffices.
         (model.camera.width, model.camera.height) = (width, height);
     }
     let mut plan = Plan::standard();
@@ -62,22 +62,22 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         Some((effect, values)) => the_story(arguments, effect, &values, &camera, &file, &plan),
     };
     if outcome.is_err() {
-        // The camera's file has the answer in it.
+        // The camera file contains the answer.
         std::fs::remove_file(&file).ok();
         std::fs::remove_dir(&arguments.output).ok();
     }
     outcome
 }
 
-/// An effect with its values.
+/// Hidden effect with its values.
 type Hidden = (&'static dyn Effect, Vec<f64>);
 
-/// Hides an effect in a model, at a strength that is plain to see.
+/// Hides an effect in a model, at a clearly visible strength.
 fn hide(what: &str, model: &mut Model, seed: u64) -> Result<Option<Hidden>> {
     let known = || EFFECTS.iter().filter(|e| example(e.id(), model).is_some());
     let effect = match what {
         "none" => return Ok(None),
-        // The same seed hides the same effect: a multiplicative hash of it (Knuth 1998, 6.4) picks.
+        // The seed selects the effect, by a multiplicative hash (Knuth 1998, 6.4).
         "random" => {
             known().nth((seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33) as usize % known().count().max(1))
         }
@@ -93,7 +93,7 @@ fn hide(what: &str, model: &mut Model, seed: u64) -> Result<Option<Hidden>> {
     Ok(Some((*effect, values)))
 }
 
-/// Found wanting, named, added, and the error falls.
+/// Runs the demo of a hidden effect: the model fails, the effect is named and added, the error falls.
 fn the_story(
     arguments: &Arguments,
     effect: &'static dyn Effect,
@@ -120,7 +120,7 @@ fn the_story(
     super::report::of_diagnosis(&path, &datasets, &all, &d)?;
     let first = d.missing.first();
     let place = d.missing.iter().position(|m| m.effect == effect.id());
-    // The first name, or what this campaign cannot tell from it.
+    // The first candidate, or one that this campaign cannot separate from it.
     let tied = place
         .is_some_and(|p| p == 0 || d.missing[p].tied_with.as_deref() == first.map(|m| m.effect.as_str()));
     let found = tied && d.missing.first().is_none_or(|m| m.effect != "unknown");
@@ -164,7 +164,7 @@ fn the_story(
     Ok(outcome)
 }
 
-/// Gain and noise against the truth, for a camera that is what the paper says.
+/// Compares gain and noise with the truth, for a camera that follows the paper's model.
 fn the_papers(
     arguments: &Arguments,
     model: &Model,
@@ -214,7 +214,7 @@ fn the_papers(
     Ok(if agrees { Outcome::Agreement } else { Outcome::Disagreement })
 }
 
-/// Makes room for the demo, and touches nothing that is not a demo's.
+/// Prepares the output folder: removes the dataset of an earlier demo, and no other files.
 fn clear(output: &Path, dataset: &Path) -> Result<()> {
     if dataset.exists() {
         if !dataset.join("frames.csv").exists() {
@@ -225,7 +225,7 @@ fn clear(output: &Path, dataset: &Path) -> Result<()> {
     crate::output::folder(output).with_context(|| output.display().to_string())
 }
 
-/// How the frames came.
+/// Describes the transport of the frames.
 fn over(arguments: &Arguments) -> String {
     match cfg!(feature = "aravis") {
         true => format!(", over GigE Vision on {}", arguments.interface),
@@ -233,7 +233,7 @@ fn over(arguments: &Arguments) -> String {
     }
 }
 
-/// Does something with a camera that another process serves, through libaravis.
+/// Runs `act` with a camera that another process serves, through libaravis.
 #[cfg(feature = "aravis")]
 fn with_camera<T>(
     arguments: &Arguments,
@@ -248,7 +248,7 @@ fn with_camera<T>(
     let mut serve = Command::new(std::env::current_exe()?);
     let sensor = sensor.display().to_string();
     serve.args(["serve", &sensor, "--interface", &interface, "--serial", "DEMO", "--while-stdin"]);
-    // Its end of standard input closes with this process, however that ends.
+    // The child's standard input closes when this process ends, for whatever reason.
     let mut child =
         serve.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().context("cannot start the camera")?;
     let mut said = String::new();
@@ -269,7 +269,7 @@ fn with_camera<T>(
     outcome
 }
 
-/// Does something with the simulator in this process.
+/// Runs `act` with the simulator in this process.
 #[cfg(not(feature = "aravis"))]
 fn with_camera<T>(
     arguments: &Arguments,

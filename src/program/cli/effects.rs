@@ -53,16 +53,16 @@ struct New {
     overwrite: bool,
 }
 
-/// Folder in which effects of the user's own are looked for by every command.
+/// Returns the folder in which every command looks for the user's own effects.
 fn folder() -> Option<PathBuf> {
-    // A relative path is to be ignored (XDG Base Directory Specification 0.8).
+    // Relative paths must be ignored (XDG Base Directory Specification 0.8).
     let of = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let settings = of("XDG_CONFIG_HOME").or_else(|| of("HOME").map(|home| home.join(".config")));
     settings.map(|folder| folder.join("radcam").join("effects"))
 }
 
-/// Makes the user's own effects known: those of their folder, where a file that is none is said and passed over,
-/// and those of the files and folders that are named.
+/// Registers the user's own effects: those of their folder, and those of the named files and folders. Invalid
+/// files in the folder are skipped with a warning.
 pub fn register_own(named: &[PathBuf]) -> Result<()> {
     if let Some(folder) = folder().filter(|folder| folder.is_dir()) {
         for path in own_files(&folder)? {
@@ -80,16 +80,16 @@ pub fn register_own(named: &[PathBuf]) -> Result<()> {
     Ok(())
 }
 
-/// Source of an effect in Rust, with a test: formulas to begin with, whose `predict` and `draw` give way to those
-/// of the mechanism once it is known.
+/// Generates the Rust source of an effect, with a test. It starts from formulas; `predict` and `draw` are to
+/// be replaced when the mechanism is known.
 fn source_of(own: &OwnEffect) -> Result<String> {
     let text = own.to_toml().map_err(anyhow::Error::msg)?;
-    // One mark more than any run of them in the text.
+    // One mark more than the longest run of marks in the text.
     let runs = text.split(|c| c != '#').map(str::len);
     let marks = "#".repeat(1 + runs.max().unwrap_or(0));
     let words = own.name.split('-').filter(|word| !word.is_empty());
     let camel: String = words.map(|word| word[..1].to_uppercase() + &word[1..]).collect();
-    // No name of a type that the source uses, and none that begins with a digit.
+    // Avoid a type name that the source uses, and one that begins with a digit.
     let kind = match format!("{camel}Effect") {
         kind if kind == "OwnEffect" || kind.starts_with(|c: char| c.is_ascii_digit()) => {
             format!("Effect{camel}")
@@ -107,7 +107,7 @@ fn source_of(own: &OwnEffect) -> Result<String> {
 }
 
 fn new(of: &New) -> Result<()> {
-    // Before the frames are read, which takes time.
+    // Check before reading the frames, which takes time.
     OwnEffect { name: of.name.clone(), ..Default::default() }.check_name().map_err(anyhow::Error::msg)?;
     let is_own = |e: &&'static dyn Effect| e.written().is_some();
     if let Some(known) = find(&of.name).filter(|known| !(of.overwrite && is_own(known))) {
@@ -128,7 +128,7 @@ fn new(of: &New) -> Result<()> {
     for path in std::iter::once(&output).chain(&of.rust) {
         may_be_written(path, of.overwrite)?;
     }
-    // The law is looked for as if the effect that it replaces were not known.
+    // Unregister the replaced effect, so that the search does not know it.
     radcam_sim::effects::unregister(&of.name);
     let datasets = Datasets { paths: of.from.clone(), colour: of.colour.clone() };
     let effects = super::model::read_effects(of.model.as_deref())?;
@@ -209,7 +209,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         ("source", of.source),
     ] {
         let text = if text.is_empty() { "not known" } else { text };
-        // The forms of an equation each on lines of their own.
+        // Each form of an equation on its own lines.
         let forms = text.split("; ").map(|form| lines_of(form, 80, 80));
         let parts: Vec<Vec<String>> =
             if title == "equation" { forms.collect() } else { vec![lines_of(text, 80, 80)] };
@@ -236,7 +236,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(Outcome::Agreement)
 }
 
-/// The effect of this identifier, or those that people call so.
+/// Finds effects by identifier or by common name.
 fn named(word: &str) -> Vec<&'static dyn Effect> {
     let lower = word.to_lowercase();
     find(&lower).map_or_else(
@@ -245,7 +245,7 @@ fn named(word: &str) -> Vec<&'static dyn Effect> {
     )
 }
 
-/// Properties that every camera has and that are no effect, by the words that people have for them.
+/// Explains a common name of a property that every camera has and that is not an effect.
 fn of_base_model(word: &str) -> Option<String> {
     let of: [(&[&str], &str); 5] = [
         (&["vignetting", "shading", "vignette", "lens shading"], "shading is measured from the flats"),
@@ -272,7 +272,7 @@ fn of_base_model(word: &str) -> Option<String> {
 mod tests {
     use super::*;
 
-    /// A source is written as the one that the tests compile.
+    /// The generated source equals the file that the tests compile.
     #[test]
     fn a_source_is_that_which_is_compiled() {
         let mut own = OwnEffect { name: "jitter-of-the-samples".into(), ..Default::default() };

@@ -71,7 +71,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(Outcome::Agreement)
 }
 
-/// The folder: `datasheet.html`, `emva.json`, `quantities.csv` and `plots/NAME.csv`.
+/// Writes the folder: `datasheet.html`, `emva.json`, `quantities.csv` and `plots/NAME.csv`.
 fn write(
     folder: &Path,
     arguments: &Arguments,
@@ -98,7 +98,7 @@ fn write(
     Ok(())
 }
 
-/// `name,value,std_err,unit,limit`, empty where undefined.
+/// Formats the quantities as `name,value,std_err,unit,limit`, empty where undefined.
 fn table(evaluation: &Evaluation) -> Result<String> {
     let mut out = csv::Writer::from_writer(Vec::new());
     out.write_record(["name", "value", "std_err", "unit", "limit"])?;

@@ -1,5 +1,5 @@
-//! A diagnosis on a terminal: the verdict, a line for each effect, the sensor's values, the fall of the error
-//! and what to do next; with `--explain` the statistics that show each effect, and all parameters.
+//! Printed diagnosis: the verdict, a line for each effect, the sensor's values, the ladder of errors and the
+//! next steps. With `--explain` also the evidence for each effect, and all parameters.
 
 use super::common::{item, say_faults, width, wrapped};
 use crate::agreement::P_LIMIT;
@@ -10,11 +10,11 @@ use crate::report;
 
 /// Heading and dataset of a printed diagnosis.
 pub struct Place<'a> {
-    /// First line of what is printed.
+    /// First printed line.
     pub title: &'a str,
     /// Argument DATASET of the next commands.
     pub datasets: &'a str,
-    /// Parameters and evidence are printed too.
+    /// Also prints parameters and evidence.
     pub explain: bool,
 }
 
@@ -46,8 +46,8 @@ pub fn print(place: &Place<'_>, d: &Diagnosis) {
     }
 }
 
-/// One line for each effect: how large, its share of the misfit, and what an evaluation gets wrong without
-/// it.
+/// Prints one line for each effect: its size, its share of the misfit, and the error of an evaluation that
+/// ignores it.
 fn table(d: &Diagnosis, fitted: &Fitted) {
     let mut rows = vec![["", "size", "of the misfit", "error if ignored"].map(String::from)];
     let nothing = || "nothing".to_string();
@@ -99,7 +99,7 @@ fn table(d: &Diagnosis, fitted: &Fitted) {
     }
 }
 
-/// The names that a law stands in place of.
+/// Prints the effects that a law replaces.
 fn instead_of_names(law: &Proposal, d: &Diagnosis) {
     let names: Vec<&str> =
         d.missing.iter().map(|m| m.effect.as_str()).filter(|id| *id != "unknown").collect();
@@ -114,12 +114,12 @@ fn instead_of_names(law: &Proposal, d: &Diagnosis) {
     }
 }
 
-/// A share in few letters.
+/// Formats a share in short form.
 fn share(share: f64) -> String {
     percent(share).replace("more than", ">").replace("less than", "<")
 }
 
-/// Name, parameters and evidence.
+/// Prints name, parameters and evidence.
 fn explained(m: &Missing) {
     println!("\n{}", wrapped(&format!("{} ({})", m.effect, report::heading(m)), 2));
     for (name, q) in m.parameters.iter().filter(|(_, q)| q.unit != "choice") {
@@ -130,7 +130,7 @@ fn explained(m: &Missing) {
     }
 }
 
-/// Gain, read noise and dark current with the effects in the model.
+/// Prints gain, read noise and dark current with the effects in the model.
 fn sensor(place: &Place<'_>, d: &Diagnosis) {
     let said = |q: &Option<Quantity>| {
         q.as_ref().map_or("not determined by this campaign".into(), ToString::to_string)
@@ -175,7 +175,7 @@ fn sensor(place: &Place<'_>, d: &Diagnosis) {
     }
 }
 
-/// The error of the model as given, and of each that follows.
+/// Prints the error of the model as given and of each later model.
 fn ladder(place: &Place<'_>, d: &Diagnosis) {
     let p = if place.explain { "p" } else { "" };
     println!("{}", format!("\n  {:<34} {:>8}  {p:>9}", "model", "error").trim_end());
@@ -205,7 +205,7 @@ fn ladder(place: &Place<'_>, d: &Diagnosis) {
     }
 }
 
-/// A law for what has no name.
+/// Prints a law for an unnamed effect.
 fn law(place: &Place<'_>, p: &Proposal) {
     println!("\n{}", wrapped("the law, as formulas of a custom effect:", 2));
     for (target, formula) in &p.formulas {
@@ -222,7 +222,7 @@ fn law(place: &Place<'_>, p: &Proposal) {
     }
 }
 
-/// Commands that lead on from here.
+/// Prints commands for the next steps.
 fn next_commands(datasets: &str, first: &Missing, has_law: bool) {
     let found = if has_law { "the model with the law" } else { "the model with what was found" };
     let mut lines = vec![
@@ -247,7 +247,7 @@ fn next_commands(datasets: &str, first: &Missing, has_law: bool) {
     }
 }
 
-/// Rounds to so many significant digits.
+/// Rounds to `digits` significant digits.
 fn round_to(value: f64, digits: i32) -> f64 {
     if value == 0.0 {
         return 0.0;

@@ -61,7 +61,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// A colour pattern, or `mono`.
+/// Parses a colour pattern, or `mono`.
 fn pattern(text: &str) -> Result<String, String> {
     let known = PATTERNS.into_iter().chain(["mono"]).find(|p| p.eq_ignore_ascii_case(text));
     known.map(Into::into).ok_or_else(|| format!("write {} or mono", PATTERNS.join(", ")))
@@ -93,7 +93,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         tracing::warn!("{note}");
     }
     let missing = map.missing();
-    // The user wrote or read the map.
+    // The user has written or checked the map.
     let sure = arguments.yes || arguments.map.is_some();
     let declined = missing.is_empty() && !sure && !asked(root)?;
     if !missing.is_empty() || declined {
@@ -137,10 +137,10 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(Outcome::Agreement)
 }
 
-/// Open questions that a message lists; the map has all.
+/// Maximum number of open questions in a message; the map has all.
 const LISTED: usize = 12;
 
-/// Looks at the files and sorts them into sets.
+/// Surveys the files and sorts them into sets.
 fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
     let listing = list(&arguments.inputs)?;
     listing.notes.iter().for_each(|note| tracing::warn!("{note}"));
@@ -161,7 +161,7 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
     drop(show);
     notes.iter().for_each(|note| tracing::warn!("{note}"));
     if !damaged.is_empty() {
-        // One sentence names all files of one fault.
+        // One sentence names all files with the same fault.
         let mut of_reason: Vec<(&str, Vec<&PathBuf>)> = Vec::new();
         for (path, why) in &damaged {
             match of_reason.iter_mut().find(|(reason, _)| reason == why) {
@@ -192,7 +192,7 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
     })
 }
 
-/// What to do with frames of a colour camera: the pattern under which they are kept whole.
+/// Returns the pattern under which frames of a colour camera are kept whole, if any.
 fn kept_whole(found: &[Found], arguments: &Arguments) -> Result<Option<String>> {
     if arguments.plane.is_some() {
         return Ok(None);
@@ -238,7 +238,7 @@ fn kept_whole(found: &[Found], arguments: &Arguments) -> Result<Option<String>> 
     }
 }
 
-/// The map as a file, with a line for every exposure that is to be filled in.
+/// Formats the map as a file, with a line for every missing exposure.
 fn with_gaps(map: &Map) -> Result<String> {
     let text = toml::to_string(map)?;
     let mut sets = map.sets.iter();
@@ -257,7 +257,7 @@ fn with_gaps(map: &Map) -> Result<String> {
     Ok(out)
 }
 
-/// Where each value of each set comes from.
+/// Lists the source of each value of each set.
 fn explained(map: &Map) -> String {
     let of_set = |(k, set): (usize, &MapSet)| {
         let lines = set.from.iter().chain(&set.guessed).chain(&set.doubts);
@@ -270,7 +270,7 @@ fn explained(map: &Map) -> String {
     all + &map.sets.iter().enumerate().map(of_set).collect::<String>()
 }
 
-/// Whether the table is right; no question where nobody can answer.
+/// Asks the user to confirm the table; fails if standard input is not a terminal.
 fn asked(root: &std::path::Path) -> Result<bool> {
     if !std::io::stdin().is_terminal() {
         bail!("nobody can be asked whether this table is right: give --yes, or check the sets in a MAP file");
@@ -282,7 +282,7 @@ fn asked(root: &std::path::Path) -> Result<bool> {
     Ok(matches!(answer.trim().to_lowercase().as_str(), "" | "y" | "yes"))
 }
 
-/// The sets, as a table to be checked.
+/// Formats the sets as a table for checking.
 fn table(map: &Map) -> String {
     let mut out = format!(
         "{:>4}  {:<16} {:>6}  {:>12}  {:>6}  {:>10}  first file\n",

@@ -86,7 +86,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(if d.consistent { Outcome::Agreement } else { Outcome::Disagreement })
 }
 
-/// Investigates with progress and what is being done on standard error.
+/// Runs an investigation; reports progress and current work on standard error.
 pub fn carry_out(
     camera: &mut dyn Camera,
     bench: &mut dyn Illuminator,

@@ -15,7 +15,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let folder = &arguments.output;
     crate::output::folder(folder).with_context(|| folder.display().to_string())?;
-    // The generator writes through links.
+    // The generator follows links, so it writes to a temporary folder.
     let made = tempfile::tempdir()?;
     clap_mangen::generate_to(super::command(), made.path())?;
     for page in made.path().read_dir()? {

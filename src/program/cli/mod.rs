@@ -1,11 +1,11 @@
-//! The program's verbs, one file each: parse, call the library, print.
+//! Commands of the program, one file each: parse, call the library, print.
 //!
 //! Results go to standard output, progress and logs to standard error. Exit codes: 0 done and in agreement, 1
-//! done and the answer is a disagreement, 2 it could not be done.
+//! done and the answer is a disagreement, 2 failed.
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // printing is what a command line is for
 
-// All that the verbs print goes through `terminal`: these stand in for the macros of the same names.
+// All output of the commands goes through `terminal`: these macros shadow the standard ones.
 macro_rules! print {
     ($($text:tt)*) => { $crate::cli::terminal::out(format_args!($($text)*)) };
 }
@@ -35,7 +35,7 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 
-/// Whether the answer was an agreement.
+/// Answer of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Outcome {
     Agreement,
@@ -81,8 +81,8 @@ macro_rules! verbs {
     };
 }
 
-// A verb is one file, with `Arguments` and `run`, and one line here: module, name, what `radcam --help` says
-// of it.
+// Each command is one file with `Arguments` and `run`, and one line here: module, name, text of
+// `radcam --help`.
 verbs! {
     cameras Cameras "List the cameras that answer, and the simulated ones"
     capture Capture "Capture a plan with a camera into a dataset folder"
@@ -115,7 +115,7 @@ verbs! {
     man Man "Write the manual pages"
 }
 
-/// What stands there where the program is called alone.
+/// Text printed when the program is called without arguments.
 const FIRST_STEPS: &str = "\
 radcam measures what a camera does to light, and names what its model lacks.
 
@@ -127,7 +127,7 @@ radcam measures what a camera does to light, and names what its model lacks.
 
 `radcam cameras` lists cameras, `radcam --help` every command, `radcam COMMAND --help` one.";
 
-/// The command line. A number may be negative where one is asked for.
+/// Builds the command line. Negative numbers are accepted as values.
 fn command() -> clap::Command {
     fn lenient(command: clap::Command) -> clap::Command {
         command.allow_negative_numbers(true).mut_subcommands(lenient)
@@ -135,9 +135,8 @@ fn command() -> clap::Command {
     lenient(Arguments::command())
 }
 
-/// Ends without a word where nobody reads standard output or error any more, as with `| head`, and with the
-/// reason where it cannot be written:
-/// `println!` panics then.
+/// Sets a panic hook for failed output, because `println!` panics. A closed pipe, as with `| head`, ends the
+/// program silently; any other failure ends it with the reason.
 fn quiet_when_nobody_reads() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
@@ -159,7 +158,7 @@ pub fn main() -> ExitCode {
     ExitCode::from(run(std::env::args_os()))
 }
 
-/// Runs the program with these arguments, of which the first is its name: its exit code.
+/// Runs the program with these arguments, the first of which is its name. Returns the exit code.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     quiet_when_nobody_reads();
@@ -184,7 +183,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Ok(Outcome::Agreement) => 0,
         Ok(Outcome::Disagreement) => 1,
         Err(error) => {
-            // A reader that went away (`| head`) is no fault of the run.
+            // A closed reader (`| head`) is not an error.
             if error
                 .downcast_ref::<std::io::Error>()
                 .is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
@@ -197,7 +196,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     }
 }
 
-/// An error with its causes, those left out that it has said already.
+/// Formats an error with its causes, without causes that the text contains already.
 fn once(error: &anyhow::Error) -> String {
     let said = error.chain().fold(String::new(), |mut said, cause| {
         let cause = cause.to_string();
@@ -211,12 +210,12 @@ fn once(error: &anyhow::Error) -> String {
     in_part(&said)
 }
 
-/// A message without the middle of lines that no message has: values of a file are cut where they are named,
-/// and this is for those that are not.
+/// Shortens overlong words and lines in a message. Values from files are usually shortened where they are
+/// named; this is the fallback.
 fn in_part(message: &str) -> String {
-    /// Longer than paths that a person names.
+    /// Limit above the length of usual paths, characters.
     const MAX_WORD: usize = 400;
-    /// Longer than the longest list of questions.
+    /// Limit above the longest list of questions, characters.
     const MAX_LINE: usize = 4000;
     let cut = |text: &str, most: usize| {
         let characters = text.chars().count();

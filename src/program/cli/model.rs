@@ -70,7 +70,7 @@ enum Action {
     },
 }
 
-/// `name=value`.
+/// Parses `name=value`.
 fn value(text: &str) -> Result<(String, f64), String> {
     let (name, value) = text.split_once('=').ok_or("write name=value")?;
     let value = value.parse().map_err(|_| format!("\"{value}\" is not a number"))?;
@@ -87,15 +87,15 @@ fn write(path: &Path, model: &Model) -> Result<()> {
     Ok(write_whole(path, model.to_toml()?.as_bytes())?)
 }
 
-/// The effects of a model file, with their values.
+/// Reads the effects of a model file, with their values.
 pub fn read_effects(path: Option<&Path>) -> Result<Vec<Given>> {
     let Some(path) = path else { return Ok(Vec::new()) };
-    // A sensor's name stands for its model, as it does elsewhere.
+    // A sensor name stands for its model, as elsewhere.
     let model = load_model(&path.to_string_lossy(), None)?;
     Ok(crate::model::given(&model.effects)?)
 }
 
-/// A model file with fitted values: the one that was given, or one of the campaign's own size.
+/// Creates a model file with fitted values, based on the given file, or else with the campaign's size.
 pub fn fitted_model(
     all: &Observations,
     fitted: &Fitted,
@@ -115,7 +115,7 @@ pub fn fitted_model(
     Ok(crate::model::with_fit(model, all, fitted, camera))
 }
 
-/// A model file with the law that a diagnosis of a dataset proposes, and what it names beside it.
+/// Creates a model file with the law that a diagnosis of a dataset proposes, and the effects beside it.
 fn with_proposal(path: &Path, datasets: &Datasets) -> Result<(Model, Proposal)> {
     let known = crate::model::given(&read(path)?.effects)?;
     let all = observe(datasets)?;
@@ -126,7 +126,7 @@ fn with_proposal(path: &Path, datasets: &Datasets) -> Result<(Model, Proposal)> 
     Ok((model_with_law(&all, &law, Some(path), datasets)?, law))
 }
 
-/// A model file with a law, and what is named beside it.
+/// Creates a model file with a law and the effects beside it.
 pub fn model_with_law(
     all: &Observations,
     law: &Proposal,
@@ -141,7 +141,7 @@ pub fn model_with_law(
     Ok(model)
 }
 
-/// Names, or that there are none.
+/// Joins names; "none" for an empty list.
 fn listed(names: &[&str]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
@@ -208,7 +208,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             if model.effects.iter().any(|e| e.is_same(&entry)) {
                 bail!("{} has {effect} already", path.display());
             }
-            // What is not given is found by a fit.
+            // Missing values are fitted.
             entry.parameters.extend(values.iter().cloned());
             model.effects.push(entry);
             write(path, &model)?;

@@ -78,7 +78,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let bytes = crate::input::bytes(&arguments.cal).with_context(|| arguments.cal.display().to_string())?;
     let calibration = Calibration::read(&arguments.cal)?;
-    // Checks are held against those under the same calibration, exposure and light.
+    // Checks are compared only under the same calibration, exposure and light.
     let mut digest = Sha256::new_with_prefix(&bytes);
     digest.update(format!("{:?} {}", arguments.exposure_s, arguments.illumination));
     let hash: String = digest.finalize().iter().take(8).map(|b| format!("{b:02x}")).collect();
@@ -113,7 +113,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
         let begun = Instant::now();
         let check = match job.take() {
             Ok(check) => check,
-            // A camera that is away now may be back at the next check.
+            // A camera that is absent now may return by the next check.
             Err(TakeError::Stopped) => break,
             Err(
                 e @ (TakeError::Damaged { .. }
@@ -129,7 +129,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             Err(e) => return Err(e.into()),
         };
         taken += 1;
-        // What differs from the first check on is no change, and none of the camera that was calibrated.
+        // Differences at the first check are not drift: the camera already differs from its calibration.
         let differs = if taken == 1 { check.against(&calibration, &limits) } else { Vec::new() };
         alarms += differs.len();
         let found = monitor.add(check.clone());
@@ -140,7 +140,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
             _ => None,
         };
         let told = tell(arguments.json, &name, &check, (&found, &differs), verdict.as_deref(), &monitor);
-        // Told first: a database that is away costs no alarm.
+        // Report first: an unreachable database must not cost an alarm.
         if let Some(keeper) = &keeper {
             keeper.keep(check, found);
         }
@@ -159,12 +159,12 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(if alarms == 0 { Outcome::Agreement } else { Outcome::Disagreement })
 }
 
-/// Wait for a database that is away: at the start, at the end, and where the program is to stop at once.
+/// Time limits for an unreachable database: at the start, at the end, and if the program must stop at once.
 const AT_THE_START: Duration = Duration::from_secs(60);
 const AT_THE_END: Duration = Duration::from_secs(90);
 const AT_A_STOP: Duration = Duration::from_millis(700);
 
-/// The monitor as it stood after the last check that was kept, and who keeps the next ones.
+/// Restores the monitor after the last stored check, and starts the keeper of the next ones.
 fn history(url: Option<&str>, name: &str, hash: &str, limits: Limits) -> Result<(Monitor, Option<Keeper>)> {
     let Some(url) = url else { return Ok((Monitor::new(limits), None)) };
     let begun = Instant::now();
@@ -194,9 +194,9 @@ struct Job<'a> {
     arguments: &'a Arguments,
     calibration: &'a Calibration,
     camera: Option<Box<dyn Camera>>,
-    /// Whose bench moves the light.
+    /// Plan whose bench controls the light.
     plan: crate::plan::Plan,
-    /// What the calibration does not state was said.
+    /// Set once the settings that the calibration does not state were reported.
     told: bool,
 }
 
@@ -226,7 +226,7 @@ impl Job<'_> {
         take(&mut **camera, &mut *bench, self.calibration, &plan, &StreamOptions::default(), &STOP)
     }
 
-    /// Captures a campaign and says what it shows; where that cannot be, why.
+    /// Captures a campaign and returns its verdict, or the reason of a failure.
     fn diagnose(&mut self, root: &Path, time_s: f64) -> String {
         let root = root.join(format!("{time_s:.3}"));
         let mut work = || -> Result<String> {

@@ -41,7 +41,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     Ok(if report.consistent() { Outcome::Agreement } else { Outcome::Disagreement })
 }
 
-/// Section IV on whatever the path is.
+/// Estimates the noise by Section IV from any source.
 pub fn estimate(datasets: &Datasets) -> Result<NoiseReport> {
     let mut show = Show::new("noise");
     let source = datasets.open()?.examined(&STOP)?;

@@ -1,4 +1,4 @@
-//! Reading what the verbs compare with a model.
+//! Reads the observables that the commands compare with a model.
 
 use super::common::{STOP, after_faults, plane, quoted};
 use super::progress::Show;
@@ -18,7 +18,7 @@ pub struct Colour {
 }
 
 impl Colour {
-    /// A dataset, or the plane of it that is asked for.
+    /// Opens a dataset, or the requested plane of it.
     pub fn open(&self, path: &Path) -> Result<Dataset> {
         let dataset = reduction::open(path)?;
         Ok(self.plane.map_or(Ok(dataset.clone()), |plane| dataset.plane(plane))?)
@@ -36,7 +36,7 @@ pub struct Datasets {
 }
 
 impl Datasets {
-    /// One dataset with all its pixels.
+    /// Selects one dataset with all its pixels.
     pub fn of(path: &Path) -> Self {
         Self { paths: vec![path.into()], colour: Colour::default() }
     }
@@ -46,7 +46,7 @@ impl Datasets {
         Ok(self.colour.plane.map_or(Ok(source.clone()), |plane| source.plane(plane))?)
     }
 
-    /// Their names as a title.
+    /// Joins the names to a title.
     pub fn names(&self) -> String {
         let names = self.paths.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ");
         self.colour.plane.map_or(names.clone(), |[y, x]| format!("{names}, plane {y},{x}"))
@@ -54,7 +54,7 @@ impl Datasets {
 }
 
 impl std::fmt::Display for Datasets {
-    /// As they stand on a command line.
+    /// Formats the arguments as on a command line.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let paths = self.paths.iter().map(|p| quoted(&p.display().to_string()));
         let plane = self.colour.plane.map(|[y, x]| format!("--plane {y},{x}"));
@@ -62,7 +62,7 @@ impl std::fmt::Display for Datasets {
     }
 }
 
-/// Observables of a table, or of datasets of one camera under one set of settings, taken together.
+/// Computes the observables of a table, or of datasets of one camera and one set of settings, combined.
 pub fn observe(datasets: &Datasets) -> Result<Observations> {
     let mut show = Show::new("reading");
     let source = datasets.open()?.examined(&STOP)?;

@@ -45,7 +45,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Frames above which a smaller campaign is offered: ten minutes of a camera of 30 frames per second.
+/// Number of frames above which a smaller campaign is offered: ten minutes at 30 frames per second.
 const MANY: u64 = 18_000;
 
 pub fn run(arguments: &Arguments) -> Result<Outcome> {

@@ -5,10 +5,10 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// Time between plain lines.
+/// Interval between plain lines.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 
-/// Shows how far long work is.
+/// Progress display of long work.
 pub struct Show {
     what: &'static str,
     bar: Option<ProgressBar>,
@@ -30,12 +30,12 @@ impl Show {
         Self { what, bar, begun: now, first: None, last_line: now }
     }
 
-    /// Steps without bytes.
+    /// Shows steps without a data rate.
     pub fn step(&mut self, done: usize, of: usize) {
         self.update(done as u64, of as u64, "");
     }
 
-    /// Frames with their bytes.
+    /// Shows frames with their data rate.
     pub fn frames(&mut self, p: Progress) {
         let first = *self.first.get_or_insert(p.frames.saturating_sub(1));
         let seconds = self.begun.elapsed().as_secs_f64().max(1e-3);

@@ -36,7 +36,7 @@ pub fn run(a: &Arguments) -> Result<Outcome> {
     write(parts, &a.output, a.overwrite, Options { plan, look_only: a.look })
 }
 
-/// Reduces parts into a file.
+/// Reduces parts and writes the file.
 pub fn write(parts: Vec<Dataset>, output: &Path, overwrite: bool, options: Options) -> Result<Outcome> {
     may_be_written(&output.to_path_buf(), overwrite)?;
     let mut show = Show::new("reducing");

@@ -1,4 +1,4 @@
-//! What the verbs on regions share: a calibration, images, a rectangle.
+//! Shared by the commands on regions: a calibration, images, a rectangle.
 
 use super::common::above_0;
 use super::correct::{Notes, Plain};
@@ -29,7 +29,7 @@ pub struct RegionArguments {
     pub force: bool,
 }
 
-/// `x,y,w,h`.
+/// Parses `x,y,w,h`.
 fn roi(text: &str) -> Result<Roi, String> {
     let numbers: Vec<usize> = text
         .split(',')
@@ -41,15 +41,15 @@ fn roi(text: &str) -> Result<Roi, String> {
     }
 }
 
-/// Images ready to be looked at.
+/// Corrected images of a region command.
 pub struct Seen {
     pub calibration: Calibration,
-    /// Mean of the images, corrected.
+    /// Mean of the corrected images.
     pub corrected: Array2<f32>,
-    /// Dark reference at their exposure.
+    /// Dark reference at the exposure of the images.
     pub dark_dn: Array2<f32>,
     pub frames: u64,
-    /// Tells images apart.
+    /// Digest that identifies the set of images.
     pub digest: u64,
     pub roi: Roi,
 }
@@ -93,7 +93,7 @@ impl RegionArguments {
             clipped(path, &frame.pixels, &calibration.defects, roi, corrector.full_scale_dn())?;
             sum += &corrector.image(&frame.pixels)?;
             let of_frame = |d: u64, dn: &u16| (d ^ u64::from(*dn)).wrapping_mul(FNV_PRIME);
-            // The same images in another order are the same.
+            // Order-independent: the same images in another order give the same digest.
             let of_frame = frame.pixels.iter().fold(FNV_OFFSET, of_frame);
             if let Some(other) = seen.insert(of_frame, path) {
                 bail!(
@@ -118,7 +118,7 @@ impl RegionArguments {
     }
 }
 
-/// Share of clipped pixels that a region may have: what they hide is variance.
+/// Maximum share of clipped pixels in a region; clipping hides variance.
 const CLIPPED: f64 = 1e-3;
 
 /// Refuses a region with pixels at full scale.

@@ -85,13 +85,13 @@ fn write(path: &Path, study: &Study, all: &Observations) -> Result<()> {
     Ok(write_whole(path, page.as_bytes())?)
 }
 
-/// The page of a diagnosis, for the verbs that make one.
+/// Writes the page of a diagnosis, for the commands that make one.
 pub fn of_diagnosis(path: &Path, datasets: &Datasets, all: &Observations, d: &Diagnosis) -> Result<()> {
     let judged = (&Judgement::of_diagnosis(d), Some(&d.verdict));
     write(path, &study(datasets, &datasets.open()?, all, judged, None)?, all)
 }
 
-/// The page of a comparison.
+/// Writes the page of a comparison.
 pub fn of_comparison(
     path: &Path,
     datasets: &Datasets,

@@ -1,10 +1,9 @@
-//! Addresses of databases, whose passwords do not stand on the command line: every user of the machine reads
-//! that.
+//! Database addresses. Passwords do not appear on the command line, which every user of the machine can read.
 
 use crate::secret::{has_password, shown};
 use anyhow::{Context, Result, bail};
 
-/// The address of a database: as given, `@FILE` from a file, `env:NAME` from the environment.
+/// Resolves the address of a database: as given, `@FILE` from a file, `env:NAME` from the environment.
 pub fn database(given: &str) -> Result<String> {
     if let Some(path) = given.strip_prefix('@') {
         let text = crate::input::settings(path.as_ref()).with_context(|| path.to_string())?;

@@ -35,7 +35,7 @@ pub struct Arguments {
     while_stdin: bool,
 }
 
-/// A number from 0 to 1.
+/// Parses a number from 0 to 1.
 fn share(text: &str) -> Result<f64, String> {
     let share = text.parse().ok().filter(|s| (0.0..=1.0).contains(s));
     share.ok_or_else(|| "write a number from 0 to 1".into())

@@ -12,9 +12,9 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Corrected frames that may wait for the disk.
+/// Length of the disk queue, corrected frames.
 const WAITING: usize = 16;
-/// Time between plain lines of progress.
+/// Interval between plain lines of progress.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
 #[derive(Debug, clap::Args)]
@@ -82,7 +82,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     if arguments.packet_socket {
         tracing::warn!("--packet-socket: the ordinary socket is used, before which packets can be checked");
     }
-    // Who it is and at what exposure it stands, before frames are promised to anybody.
+    // Read identity and exposure before frames are offered to clients.
     let (identity, settings) = {
         let mut camera = camera::open(&arguments.camera)?;
         let settings = prepare(&mut *camera, &calibration, arguments.exposure_s)?;
@@ -160,7 +160,7 @@ fn relay(_: &Arguments, _: &str, _: &camera::Identity, _: &camera::Settings) -> 
     anyhow::bail!("--serve-as: {}", camera::NO_ARAVIS)
 }
 
-/// One line that says how it stands.
+/// Formats the state of the stream in one line.
 fn line(s: &Summary) -> String {
     let latency = s.latency.map(|l| format!(", latency {:.1} ms", l.median_ms)).unwrap_or_default();
     let lost = s.received.lost() + s.sinks.values().map(|s| s.dropped).sum::<u64>();
@@ -173,7 +173,7 @@ fn line(s: &Summary) -> String {
     )
 }
 
-/// Progress on standard error.
+/// Progress display on standard error.
 struct Show {
     last: Instant,
     terminal: bool,

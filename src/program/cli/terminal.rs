@@ -1,13 +1,13 @@
-//! Output to a terminal. Names of devices, files and fields come from outside, and may hold sequences that
-//! move the cursor or change what was printed.
+//! Output to a terminal. Names of devices, files and fields are untrusted: they may contain sequences that
+//! move the cursor or change printed text.
 
 use std::fmt::Arguments;
 
-/// A text with its control characters written as `\u001b`, as JSON writes them; line ends and tabs stay.
+/// Escapes control characters as `\u001b`, as in JSON; line ends and tabs stay.
 pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
-        // Marks of direction make a line read as another one.
+        // Bidirectional control characters can make a line read as another one.
         let hides = matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
         if (c.is_control() && !matches!(c, '\n' | '\t')) || hides {
             out += &format!("\\u{:04x}", u32::from(c));

@@ -47,7 +47,7 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     }
     let history = arguments.history.as_deref().map(super::secret::database).transpose()?;
     if let Some(url) = &history {
-        // Opened once here: what is wrong is said at once, and a name that was mistyped makes no new file.
+        // Opened once here: errors appear at once, and a mistyped name creates no new file.
         let file = url.strip_prefix("sqlite:").unwrap_or(url);
         if !file.contains("://") && !std::path::Path::new(file).exists() {
             bail!("{file}: there is no such history; `radcam monitor --store {file}` begins one");
@@ -82,14 +82,14 @@ pub fn run(arguments: &Arguments) -> Result<Outcome> {
     let workbench = Workbench::open(options).map_err(anyhow::Error::msg)?;
     let url = workbench.url();
     println!("{url}\nThe page is there until Ctrl-C.");
-    // Until the page ends: the browser reads it when it comes to it.
+    // Keep the file until the workbench ends; the browser may read it late.
     let _page = arguments.open.then(|| open_in_browser(&url));
     workbench.serve(&STOP).map_err(anyhow::Error::msg)?;
     Ok(Outcome::Agreement)
 }
 
-/// Opens the page by a file that the user alone can read: every user of the machine reads command lines, and
-/// the address holds the token.
+/// Opens the page through a file that only the user can read. The address holds the token, and every user of
+/// the machine can read command lines.
 fn open_in_browser(url: &str) -> Option<tempfile::NamedTempFile> {
     let open = || {
         let mut page = tempfile::Builder::new().prefix("radcam-").suffix(".html").tempfile()?;

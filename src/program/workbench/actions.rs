@@ -1,4 +1,4 @@
-//! What the pages can do. Each has a verb that does the same.
+//! Request handlers of the pages. Every action has an equivalent command.
 
 use super::desk::{Campaign, Found, Judged, entries_of, judge, read};
 use super::live::{Order, is_incomplete, lock};
@@ -24,15 +24,15 @@ use std::sync::atomic::Ordering;
 
 type Desktop = State<Arc<Shared>>;
 
-/// Another campaign beside the one on the desk.
+/// Another campaign, shown beside the one on the desk.
 pub struct Run {
-    /// Where it lies.
+    /// Path of the campaign.
     pub path: PathBuf,
-    /// What it says, or why it says nothing.
+    /// Diagnosis, gain and read noise of the campaign, or the reason why there is none.
     pub said: Result<(Diagnosis, f64, f64), String>,
 }
 
-/// Starts long work, where none runs; its failure becomes the page's message.
+/// Starts a job, unless one is running. A failure becomes the page's message.
 fn start(
     shared: &Arc<Shared>,
     what: impl Into<String>,
@@ -54,7 +54,7 @@ fn start(
         let done = done.unwrap_or_else(|_| Err(format!("{} failed", job.what)));
         {
             let mut running = lock(&shared.job);
-            // A search that was cancelled goes on unseen, and what runs now is another's.
+            // A cancelled search runs on in the background; the current job may be another one.
             if !running.as_ref().is_some_and(|now| Arc::ptr_eq(now, &job)) {
                 return;
             }
@@ -77,17 +77,17 @@ fn start(
     Ok(())
 }
 
-/// What a cancelled piece of work says beside that.
+/// Returns the cause of a failure, or nothing for a cancelled job.
 fn because(e: &str) -> String {
     if e == CANCELLED { String::new() } else { format!(": {e}") }
 }
 
-/// Of work that ended because that was asked for.
+/// Error text of a job that the user cancelled.
 const CANCELLED: &str = "cancelled";
-/// The search, which cannot be ended: it is left alone.
+/// Name of the search job. A search cannot be stopped; a cancelled one is ignored.
 const SEARCH: &str = "looking for what is missing";
 
-/// Reads the campaign of the desk, then looks for what its model lacks.
+/// Reads the campaign of the desk, then searches for effects missing from its model.
 pub fn read_campaign(shared: &Arc<Shared>) {
     let Some(path) = shared.dataset.clone() else { return };
     if shared.live().is_some() && !path.exists() {
@@ -116,7 +116,7 @@ pub fn read_campaign(shared: &Arc<Shared>) {
     }
 }
 
-/// Looks for what the model on the desk lacks, and again where the model was changed meanwhile.
+/// Searches for effects missing from the model on the desk; repeats if the model has changed meanwhile.
 fn look(shared: &Arc<Shared>, job: &Job) -> Result<(), String> {
     loop {
         let (campaign, on, revision) = {
@@ -141,7 +141,7 @@ fn look(shared: &Arc<Shared>, job: &Job) -> Result<(), String> {
     }
 }
 
-/// Changes the model, and answers with the page as it then is. A search runs on beside it.
+/// Changes the model and responds with the updated page. Starts a search in the background.
 async fn change(
     shared: Arc<Shared>,
     work: impl FnOnce(&mut super::Desk) -> Result<(), String> + Send + 'static,
@@ -164,17 +164,17 @@ async fn change(
     model::main(&shared).into_response()
 }
 
-/// Names one effect.
+/// Form that names one effect.
 #[derive(Deserialize)]
 pub struct Named {
     effect: String,
 }
 
-/// Puts an effect that the search found into the model.
+/// Adds an effect found by the search to the model.
 pub async fn add(State(shared): Desktop, Form(named): Form<Named>) -> Response {
     let asked = shared.clone();
     let id = named.effect.clone();
-    // The search takes its time: the pages go on answering.
+    // Fitting takes time; it runs aside so that the pages still respond.
     let added = aside(move || {
         let (found, campaign, on) = {
             let desk = asked.desk();
@@ -209,7 +209,7 @@ pub async fn add(State(shared): Desktop, Form(named): Form<Named>) -> Response {
     .await
 }
 
-/// An effect of the catalogue whose values are searched for beside a model.
+/// Fits an effect of the catalogue beside a model.
 fn searched_for(campaign: &Campaign, mut on: Vec<EffectValues>, id: &str) -> Result<Entry, String> {
     on.retain(|e| e.called() != id);
     on.push(EffectValues::new(id));
@@ -233,7 +233,7 @@ pub async fn switch(State(shared): Desktop, Form(named): Form<Named>) -> Respons
     .await
 }
 
-/// Takes an effect out of the model.
+/// Removes an effect from the model.
 pub async fn remove(State(shared): Desktop, Form(named): Form<Named>) -> Response {
     change(shared, move |desk| {
         let mut entries = desk.entries();
@@ -243,12 +243,12 @@ pub async fn remove(State(shared): Desktop, Form(named): Form<Named>) -> Respons
     .await
 }
 
-/// Takes the last step back.
+/// Undoes the last step.
 pub async fn undo(State(shared): Desktop) -> Response {
     change(shared, super::Desk::undo).await
 }
 
-/// Looks again for what is missing.
+/// Searches again for missing effects.
 pub async fn search(State(shared): Desktop) -> Response {
     if let Err(e) = start(&shared, SEARCH, look) {
         shared.desk().error = Some(e);
@@ -256,7 +256,7 @@ pub async fn search(State(shared): Desktop) -> Response {
     model::main(&shared).into_response()
 }
 
-/// One's own effect, as typed.
+/// The user's own effect, as typed.
 #[derive(Deserialize)]
 pub struct Own {
     name: String,
@@ -266,7 +266,7 @@ pub struct Own {
     parameters: String,
 }
 
-/// What one's own effect would do to the fit.
+/// Fits the user's own effect on trial, without adding it.
 pub async fn try_own(State(shared): Desktop, Form(typed): Form<Own>) -> Markup {
     let tried = aside(move || -> Result<(f64, Judged), String> {
         let effect =
@@ -288,7 +288,7 @@ pub async fn try_own(State(shared): Desktop, Form(typed): Form<Own>) -> Markup {
     }
 }
 
-/// Puts one's own effect into the model, with the values of its fit.
+/// Adds the user's own effect to the model, with its fitted values.
 pub async fn add_own(State(shared): Desktop, Form(typed): Form<Own>) -> Response {
     change(shared, move |desk| {
         let mut effect =
@@ -309,7 +309,7 @@ pub async fn add_own(State(shared): Desktop, Form(typed): Form<Own>) -> Response
     .await
 }
 
-/// Ends the work that runs.
+/// Cancels the running job.
 pub async fn cancel(State(shared): Desktop) -> Markup {
     {
         let mut running = lock(&shared.job);
@@ -328,14 +328,15 @@ pub async fn cancel(State(shared): Desktop) -> Markup {
     shell::status(&shared)
 }
 
-/// What was seen last.
+/// Revision that the page has seen last.
 #[derive(Deserialize)]
 pub struct Seen {
     #[serde(default)]
     seen: u64,
 }
 
-/// Waits until something changes: the model's number, the number of everything, and whether work runs, whose progress is worth another look.
+/// Waits for a change (long polling). Returns the revision of the model, the overall revision, and a flag for
+/// a running job. The wait is at most 250 ms while a job runs, to update its progress, and 20 s otherwise.
 pub async fn events(State(shared): Desktop, Query(q): Query<Seen>) -> String {
     let mut changed = shared.changed.subscribe();
     let newer = changed.wait_for(|c| c.1 > q.seen);
@@ -346,14 +347,14 @@ pub async fn events(State(shared): Desktop, Query(q): Query<Seen>) -> String {
     format!("{model},{all},{}", busy())
 }
 
-/// The answer of whoever moves the bench.
+/// Answer of the bench operator.
 #[derive(Deserialize)]
 pub struct Answer {
     number: u64,
     done: bool,
 }
 
-/// The bench was moved, or its operator gives up.
+/// Accepts the operator's answer: the bench was moved, or the operator gave up.
 pub async fn operator(State(shared): Desktop, Form(answer): Form<Answer>) -> Markup {
     if let Some(live) = shared.live() {
         live.operator.answer(answer.number, answer.done);
@@ -361,7 +362,7 @@ pub async fn operator(State(shared): Desktop, Form(answer): Form<Answer>) -> Mar
     shell::status(&shared)
 }
 
-/// Settings of the camera, as typed; empty ones stay.
+/// Settings of the camera, as typed; empty fields leave the setting unchanged.
 #[derive(Deserialize)]
 pub struct Settings {
     #[serde(default)]
@@ -416,7 +417,7 @@ pub async fn set_camera(State(shared): Desktop, Form(s): Form<Settings>) -> Mark
     }
 }
 
-/// `column,row,width,height`; nothing where nothing is written.
+/// Parses `column,row,width,height`; an empty text gives none.
 fn region_of(text: &str) -> Result<Option<[u32; 4]>, String> {
     if text.trim().is_empty() {
         return Ok(None);
@@ -426,10 +427,10 @@ fn region_of(text: &str) -> Result<Option<[u32; 4]>, String> {
     region.map(Some).ok_or_else(|| format!("region: write column,row,width,height in pixels, not \"{text}\""))
 }
 
-/// The work of a capture.
+/// Name of the capture job.
 const CAPTURE: &str = "capturing";
 
-/// What is to be captured.
+/// Form of a capture.
 #[derive(Deserialize)]
 pub struct Captured {
     plan: String,
@@ -441,7 +442,7 @@ pub struct Captured {
     own: String,
 }
 
-/// Captures a plan, reads it and looks for what is missing.
+/// Captures a plan, reads the campaign and searches for missing effects.
 pub async fn capture(State(shared): Desktop, Form(c): Form<Captured>) -> Markup {
     let begun = (|| {
         let mut plan = if c.own.trim().is_empty() {
@@ -491,7 +492,7 @@ fn begin_capture(shared: &Arc<Shared>, plan: Plan, folder: PathBuf, extend: bool
     })
 }
 
-/// Takes the measurement that tells the closest candidates apart.
+/// Captures the measurement that separates the closest candidates.
 pub async fn take_next(State(shared): Desktop) -> Markup {
     let begun = (|| {
         let plan = match &shared.desk().found {
@@ -514,7 +515,7 @@ pub async fn take_next(State(shared): Desktop) -> Markup {
     shell::status(&shared)
 }
 
-/// Reads the campaigns beside the one on the desk.
+/// Reads the other campaigns.
 pub async fn read_runs(State(shared): Desktop) -> Markup {
     let begun = start(&shared, "reading the other campaigns", |shared, job| {
         lock(&shared.runs).clear();
@@ -540,15 +541,15 @@ pub async fn read_runs(State(shared): Desktop) -> Markup {
     shell::status(&shared)
 }
 
-/// Kind of calibration that is asked for.
+/// Requested kind of calibration.
 #[derive(Debug, serde::Deserialize)]
 pub struct Kind {
-    /// The light of the flats stays in K.
+    /// Flat-field correction: the light of the flats stays in K.
     #[serde(default)]
     flat_field: bool,
 }
 
-/// Makes a calibration file beside the steps.
+/// Writes a calibration file beside the steps.
 pub async fn calibrate(State(shared): Desktop, Form(kind): Form<Kind>) -> Markup {
     let (estimator, name) =
         if kind.flat_field { (Estimator::FlatField, FLAT_FIELD) } else { (Estimator::Joint, CALIBRATION) };
@@ -579,7 +580,7 @@ fn failed(e: &str) -> Response {
         .into_response()
 }
 
-/// The report of the model as it stands.
+/// Serves the report of the current model.
 pub async fn report(State(shared): Desktop) -> Response {
     let made = aside(move || -> Result<String, String> {
         let (campaign, judged, found) = {
@@ -639,14 +640,14 @@ fn toml_file(name: &str, text: Result<String, String>) -> Response {
     }
 }
 
-/// The model file.
+/// Serves the model file.
 pub async fn model_file(State(shared): Desktop) -> Response {
     let desk = shared.desk();
     let text = desk.campaign().and_then(|c| desk.model(&c)).ok_or("there is no model yet".to_string());
     toml_file("model.toml", text.and_then(|m| m.to_toml().map_err(|e| e.to_string())))
 }
 
-/// The plan of the measurement that tells the closest candidates apart.
+/// Serves the plan of the measurement that separates the closest candidates.
 pub async fn next_file(State(shared): Desktop) -> Response {
     let plan = match &shared.desk().found {
         Found::Done(d) => d.next_plan.clone(),

@@ -1,4 +1,4 @@
-//! What lies on the desk: the campaign's statistics, collected once, the model, and what is known of it.
+//! State of the desk: the campaign's statistics, collected once, the model, its fit, and the last diagnosis.
 
 use super::steps::{Entry, Step, Steps, folder_of};
 use crate::dataset::{Dataset, Kind};
@@ -12,20 +12,20 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A campaign whose statistics are collected.
+/// Campaign with its statistics.
 pub struct Campaign {
-    /// Where it lies.
+    /// Path of the campaign.
     pub path: PathBuf,
-    /// Its frames or its table.
+    /// Frames or table.
     pub source: Source,
-    /// Its statistics.
+    /// Statistics of the campaign.
     pub all: Observations,
-    /// Kinds of its sets.
+    /// Kinds of the sets, by set number.
     pub kinds: BTreeMap<u32, Kind>,
 }
 
 impl Campaign {
-    /// Its frames, where it has any.
+    /// Returns the frames; none for a table.
     pub fn dataset(&self) -> Option<&Dataset> {
         match &self.source {
             Source::Frames(dataset) => Some(dataset),
@@ -34,61 +34,61 @@ impl Campaign {
     }
 }
 
-/// The campaign, or why there is none.
+/// State of the campaign's data.
 #[derive(Clone)]
 pub enum Data {
     /// Nothing was captured yet.
     None,
-    /// It is being read.
+    /// Reading is in progress.
     Reading,
-    /// It cannot be read.
+    /// Reading failed.
     Failed(String),
-    /// It is there.
+    /// The campaign is loaded.
     Ready(Arc<Campaign>),
 }
 
-/// A model after its fit.
+/// Model with its fit and comparison.
 pub struct Judged {
-    /// The fit.
+    /// Fit of the model.
     pub fitted: Fitted,
-    /// How it stands on frames that the fit did not see.
+    /// Comparison with the held-out frames.
     pub comparison: Comparison,
-    /// Time that took, ms.
+    /// Duration of fit and comparison, ms.
     pub milliseconds: f64,
 }
 
-/// What a search for missing effects came to.
+/// State of the search for missing effects.
 #[derive(Clone)]
 pub enum Found {
-    /// None was made for the model as it stands.
+    /// No search was made for the current model.
     None,
-    /// It runs.
+    /// The search is running.
     Searching,
-    /// Its answer.
+    /// Result of the search.
     Done(Arc<Diagnosis>),
 }
 
-/// Everything of one campaign.
+/// All state of one campaign.
 pub struct Desk {
-    /// The campaign.
+    /// Campaign data.
     pub data: Data,
-    /// The model's steps.
+    /// Steps of the model.
     pub steps: Steps,
-    /// The fit of the last step, and of the first.
+    /// Fits of the last step and of the first step.
     pub judged: Option<[Arc<Judged>; 2]>,
-    /// What is missing from the last step's model.
+    /// Search for effects missing from the model of the last step.
     pub found: Found,
-    /// What went wrong last.
+    /// Last error.
     pub error: Option<String>,
-    /// Counts changes.
+    /// Number of changes.
     pub revision: u64,
 }
 
-/// Fits and judges a model, as `radcam compare --model` does.
+/// Fits a model and compares it with the data, as `radcam compare --model` does.
 ///
 /// # Errors
 ///
-/// An effect that cannot be understood.
+/// An effect is invalid.
 pub fn judge<'e>(
     all: &Observations,
     effects: impl IntoIterator<Item = &'e EffectValues>,
@@ -101,12 +101,12 @@ pub fn judge<'e>(
 }
 
 impl Desk {
-    /// A desk without a campaign.
+    /// Creates a desk without a campaign.
     pub fn new(data: Data) -> Self {
         Self { data, steps: Steps::default(), judged: None, found: Found::None, error: None, revision: 0 }
     }
 
-    /// The campaign, where it is there.
+    /// Returns the campaign, if loaded.
     pub fn campaign(&self) -> Option<Arc<Campaign>> {
         match &self.data {
             Data::Ready(campaign) => Some(campaign.clone()),
@@ -114,11 +114,12 @@ impl Desk {
         }
     }
 
-    /// Lays a campaign on the desk, with what was kept of it; `effects` are those that the user gave, where nothing was kept.
+    /// Loads a campaign onto the desk, with its stored steps. Without stored steps the model starts from
+    /// `effects`, the effects given by the user.
     ///
     /// # Errors
     ///
-    /// What was kept and cannot be understood.
+    /// The stored steps are invalid.
     pub fn lay(&mut self, campaign: Campaign, effects: &[EffectValues]) -> Result<(), String> {
         let campaign = Arc::new(campaign);
         self.steps = Steps::read(&folder_of(&campaign.path))?;
@@ -128,7 +129,7 @@ impl Desk {
             let entries = effects.iter().map(|e| Entry { on: true, effect: e.clone() }).collect();
             return self.take("the model as given".into(), entries);
         }
-        // The campaign may have grown since.
+        // The campaign may have grown since the steps were stored.
         let mut judged = Vec::new();
         for step in &mut self.steps.step {
             let fit = Arc::new(judge(&campaign.all, step.on())?);
@@ -143,11 +144,11 @@ impl Desk {
         Ok(())
     }
 
-    /// Makes another step: the model with these effects.
+    /// Adds a step: the model with these effects.
     ///
     /// # Errors
     ///
-    /// An effect that cannot be understood.
+    /// An effect is invalid.
     pub fn take(&mut self, what: String, entries: Vec<Entry>) -> Result<(), String> {
         let campaign = self.campaign().ok_or("there is no campaign yet")?;
         let on: Vec<EffectValues> = entries.iter().filter(|e| e.on).map(|e| e.effect.clone()).collect();
@@ -162,7 +163,7 @@ impl Desk {
         Ok(())
     }
 
-    /// Takes the last step back.
+    /// Undoes the last step.
     ///
     /// # Errors
     ///
@@ -183,12 +184,13 @@ impl Desk {
         Ok(())
     }
 
-    /// Effects of the model as it stands, switched on or off.
+    /// Returns the effects of the current model, each switched on or off.
     pub fn entries(&self) -> Vec<Entry> {
         self.steps.now().map(|s| s.entries.clone()).unwrap_or_default()
     }
 
-    /// The model file of the model as it stands: the values that its effects begin with, so that a comparison with the file gives the same error.
+    /// Returns the current model as a model file, with the start values of its effects: a comparison with the
+    /// file gives the same error.
     pub fn model(&self, campaign: &Campaign) -> Option<Model> {
         let [judged, _] = self.judged.as_ref()?;
         let blank = radcam_sim::sensors::load("cmos12").ok()?;
@@ -202,7 +204,7 @@ impl Desk {
         Some(model)
     }
 
-    /// Keeps the steps; where the folder cannot be written the page says so, and goes on.
+    /// Saves the steps. If the folder is read-only the page shows a warning and continues.
     fn keep(&mut self, campaign: &Campaign) {
         let kept = self.model(campaign).ok_or_else(|| "there is no model yet".to_string());
         let kept = kept.and_then(|model| self.steps.write(&folder_of(&campaign.path), &model));
@@ -212,8 +214,8 @@ impl Desk {
     }
 }
 
-/// Effect that a search found, as an entry of the model; the law with the effects beside it. `taken`: names that
-/// the model has.
+/// Returns the entries for an effect that a search found. A law comes with the effects beside it. `taken` are
+/// the names that the model has already.
 pub fn entries_of(d: &Diagnosis, id: &str, taken: &[&str]) -> Option<Vec<Entry>> {
     if id == LAW {
         let law = d.proposal.as_ref()?;
@@ -235,7 +237,7 @@ fn entry_of(fitted: &Fitted, id: &str) -> Option<Entry> {
 ///
 /// # Errors
 ///
-/// What cannot be read.
+/// The campaign cannot be read.
 pub fn read(
     path: &Path,
     plane: Option<[u8; 2]>,

@@ -1,8 +1,10 @@
-//! Who may ask: only the browser that was given the address, from a page of this server, under this server's own name.
+//! Access control. The server accepts only the browser that was given the address, from a page of this
+//! server, under this server's own name.
 //!
-//! A web page elsewhere can make a browser send requests to 127.0.0.1, and by a name of its own that it points there (DNS rebinding) even read the
-//! answers. So the Host header must be this server's address, an Origin must be this server, and a random token must be known, which comes in the
-//! address once and is a cookie from then on.
+//! A foreign web page can make a browser send requests to 127.0.0.1. With a host name that resolves there
+//! (DNS rebinding) it can even read the responses. Requests must therefore have this server's address as
+//! Host, this server as Origin if an Origin is sent, and a random token. The token comes in the address once
+//! and is a cookie afterwards.
 
 use super::Shared;
 use axum::body::Body;
@@ -12,18 +14,18 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use std::sync::Arc;
 
-/// A new token: 128 bits from the system.
+/// Creates a token: 128 random bits from the system.
 ///
 /// # Errors
 ///
-/// Where the system has none.
+/// The system has no random numbers.
 pub fn token() -> Result<String, String> {
     let mut bytes = [0u8; 16];
     getrandom::fill(&mut bytes).map_err(|e| format!("no random numbers: {e}"))?;
     Ok(bytes.iter().map(|b| format!("{b:02x}")).collect())
 }
 
-/// Compares without telling by its time how much agrees.
+/// Compares in constant time.
 fn same(a: &str, b: &str) -> bool {
     a.len() == b.len() && a.bytes().zip(b.bytes()).fold(0, |d, (a, b)| d | (a ^ b)) == 0
 }
@@ -36,13 +38,13 @@ fn refuse(code: StatusCode, why: &'static str) -> Response {
     (code, [(header::CONTENT_TYPE, "text/plain; charset=utf-8")], why).into_response()
 }
 
-/// A path of this server: one that begins with two slashes is another server for a browser.
+/// Sanitises a path of this server: a browser reads a path with two leading slashes as another server.
 fn room(path: &str) -> String {
     let plain = path.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '/' | '.' | '-' | '_'));
     if plain { format!("/{}", path.trim_start_matches('/')) } else { "/".into() }
 }
 
-/// Lets a request through, or says why not.
+/// Passes a request on, or responds with the reason of the refusal.
 pub async fn guard(State(shared): State<Arc<Shared>>, request: Request<Body>, next: Next) -> Response {
     let headers = request.headers();
     let host = text(headers, header::HOST).unwrap_or_default().to_string();
@@ -56,7 +58,7 @@ pub async fn guard(State(shared): State<Arc<Shared>>, request: Request<Body>, ne
     let cross = headers.get("sec-fetch-site").is_some_and(|v| v == "cross-site" || v == "same-site");
     let given = request.uri().query().unwrap_or_default().split('&').find_map(|q| q.strip_prefix("token="));
     let told = given.is_some_and(|t| same(t, &shared.token));
-    // A browser that was given the address by a file or another program says that it comes from elsewhere.
+    // A browser that opens the address from a file or another program reports a cross-site request.
     let opens = request.method() == Method::GET && told;
     if foreign || (cross && !opens) {
         return refuse(StatusCode::FORBIDDEN, "This server does not answer to other pages.\n");
@@ -71,11 +73,11 @@ pub async fn guard(State(shared): State<Arc<Shared>>, request: Request<Body>, ne
                 "Open the address that radcam workbench printed: it holds the token.\n",
             );
         }
-        // The token leaves the address, so that no history and no screenshot holds it.
+        // Remove the token from the address, so that no history and no screenshot contains it.
         let cookie = format!("{cookie}{}; Path=/; HttpOnly; SameSite=Strict", shared.token);
         let room = room(request.uri().path());
         let mut answer = if cross {
-            // A redirect would still count as coming from elsewhere, and bring no cookie.
+            // A redirect would still count as cross-site and send no cookie.
             let text = format!(
                 "<!doctype html><meta charset=\"utf-8\"><meta http-equiv=\"refresh\" content=\"0;url={room}\">"
             );

@@ -1,4 +1,5 @@
-//! The camera of the workbench: one thread owns it, shows what it sees while somebody looks, changes its settings, and captures.
+//! Camera thread of the workbench. It owns the camera, shows the live picture while a client watches, changes
+//! settings, and captures.
 
 use super::job::Job;
 use crate::bench::{self, Illuminator, ManualBench};
@@ -13,67 +14,68 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// A lock whose holder cannot leave rubbish behind.
+/// Locks a mutex and ignores poisoning: no holder leaves the data inconsistent.
 pub fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What to do with the camera.
+/// Order to the camera thread.
 pub enum Order {
-    /// Exposure, s.
+    /// Sets the exposure, s.
     Exposure(f64),
-    /// Gain, dB.
+    /// Sets the gain, dB.
     Gain(f64),
-    /// Region of interest.
+    /// Sets the region of interest.
     Region(Region),
-    /// Light of the bench, relative.
+    /// Sets the relative light of the bench.
     Light(f64),
-    /// Ends the thread: the camera is stopped and let go.
+    /// Ends the thread: the camera is stopped and released.
     End,
-    /// Captures a plan into a folder, or adds it to the campaign that is there.
+    /// Captures a plan into a folder, or extends the campaign in it.
     Capture {
-        /// The plan.
+        /// Plan to capture.
         plan: Box<Plan>,
-        /// The folder.
+        /// Output folder.
         folder: PathBuf,
-        /// Whether it is added to what is there.
+        /// True to extend the existing campaign.
         extend: bool,
-        /// Progress and end.
+        /// Progress and cancellation.
         job: Arc<Job>,
     },
 }
 
-/// A picture and the one before it.
+/// Live picture with its predecessor.
 #[derive(Clone)]
 pub struct Picture {
-    /// Counts pictures.
+    /// Sequence number of the picture.
     pub number: u64,
-    /// The frame.
+    /// Current frame.
     pub frame: Arc<Frame>,
-    /// The frame before.
+    /// Preceding frame.
     before: Option<Arc<Frame>>,
     /// Largest code, DN.
     pub full_dn: u16,
 }
 
 impl Picture {
-    /// Mean, DN.
+    /// Returns the mean, DN.
     pub fn mean_dn(&self) -> f64 {
         self.frame.pixels.iter().map(|v| f64::from(*v)).sum::<f64>() / self.frame.pixels.len() as f64
     }
 
-    /// Pixels at the largest code.
+    /// Counts the pixels at the largest code.
     pub fn saturated(&self) -> usize {
         self.frame.pixels.iter().filter(|v| **v >= self.full_dn).count()
     }
 
-    /// Temporal variance of a pixel from this frame and the one before, DN^2; NaN where their sizes differ.
+    /// Returns the temporal variance of a pixel from this frame and the preceding one, DN^2; NaN without a
+    /// preceding frame of the same size.
     pub fn var_dn2(&self) -> f64 {
         self.before.as_ref().map_or(f64::NAN, |before| difference_variance(before, &self.frame))
     }
 }
 
-/// What is asked of whoever moves the bench.
+/// Question to the bench operator, with its answer.
 #[derive(Default)]
 pub struct Operator {
     state: Mutex<Asked>,
@@ -82,20 +84,20 @@ pub struct Operator {
 
 #[derive(Default)]
 struct Asked {
-    /// Counts questions: an answer belongs to one of them.
+    /// Number of the question; an answer refers to one question.
     number: u64,
     question: Option<String>,
     answer: Option<bool>,
 }
 
 impl Operator {
-    /// What is asked now and has no answer yet, with its number.
+    /// Returns the open question with its number.
     pub fn question(&self) -> Option<(u64, String)> {
         let state = lock(&self.state);
         state.question.clone().filter(|_| state.answer.is_none()).map(|q| (state.number, q))
     }
 
-    /// Answers the question of this number: done, or given up. Another is not touched.
+    /// Answers the question with this number: done, or given up. Other numbers are ignored.
     pub fn answer(&self, number: u64, done: bool) {
         let mut state = lock(&self.state);
         if state.question.is_some() && state.number == number && state.answer.is_none() {
@@ -104,7 +106,7 @@ impl Operator {
         }
     }
 
-    /// Gives up whatever is asked.
+    /// Gives up the open question, if any.
     pub fn give_up(&self) {
         if let Some((number, _)) = self.question() {
             self.answer(number, false);
@@ -112,7 +114,7 @@ impl Operator {
     }
 }
 
-/// Reads the answers and writes the questions of a bench that is moved by hand.
+/// Adapter that lets a manual bench ask its questions and read its answers through the page.
 struct Page(Arc<Operator>, Arc<dyn Fn() + Send + Sync>);
 
 impl Write for Page {
@@ -159,21 +161,21 @@ impl BufRead for Page {
     }
 }
 
-/// What the thread and the pages share.
+/// State shared by the camera thread and the pages.
 pub struct Live {
-    /// Who the camera is.
+    /// Identity of the camera.
     pub identity: String,
-    /// How it is opened again.
+    /// Camera ID, for opening it again.
     pub id: String,
-    /// What it can do.
+    /// Capabilities of the camera.
     pub capabilities: Capabilities,
     orders: Mutex<Sender<Ordered>>,
     state: Mutex<State>,
     shown: tokio::sync::watch::Sender<u64>,
-    /// Requests that wait for a picture.
+    /// Number of requests that wait for a picture.
     waiting: AtomicUsize,
     thread: Mutex<Option<std::thread::JoinHandle<()>>>,
-    /// What is asked of whoever moves the bench.
+    /// Question to the bench operator.
     pub operator: Arc<Operator>,
 }
 
@@ -181,18 +183,18 @@ struct State {
     picture: Option<Picture>,
     settings: Option<Settings>,
     light: f64,
-    /// When somebody last looked.
+    /// Time of the last request for a picture.
     looked: Option<Instant>,
     error: Option<String>,
 }
 
-/// Time after which nobody looks any more.
+/// Time after the last request at which a client counts as gone.
 const LOOKS: Duration = Duration::from_secs(2);
-/// Time between pictures at least: 40 a second are more than are seen.
+/// Minimum interval between pictures; more than 40 per second are not visible.
 const BETWEEN: Duration = Duration::from_millis(25);
 
 impl Live {
-    /// Opens the camera and starts its thread. `changed` is called where a page should look again.
+    /// Opens the camera and starts its thread. Calls `changed` when the pages should update.
     pub fn start(
         mut camera: Box<dyn Camera>,
         options: StreamOptions,
@@ -220,7 +222,7 @@ impl Live {
         live
     }
 
-    /// Stops the camera and lets it go, once the work in flight has ended.
+    /// Stops and releases the camera after the work in flight.
     pub fn end(&self) {
         self.operator.give_up();
         let _ = self.order(Order::End);
@@ -229,11 +231,11 @@ impl Live {
         }
     }
 
-    /// Gives an order and waits for its answer.
+    /// Sends an order and waits for the answer.
     ///
     /// # Errors
     ///
-    /// What the camera or the bench refuse.
+    /// The camera or the bench refused the order.
     pub fn order(&self, order: Order) -> Result<String, String> {
         let (answer, got) = channel();
         let gone = || "the camera's thread has ended".to_string();
@@ -241,7 +243,7 @@ impl Live {
         got.recv().map_err(|_| gone())?
     }
 
-    /// The newest picture, once there is one after `number`.
+    /// Waits for a picture newer than `number` and returns the newest one; none after a timeout.
     pub async fn picture(&self, number: u64) -> Option<Picture> {
         let exposure_s = lock(&self.state).settings.as_ref().map_or(0.0, |s| s.exposure_s);
         let patience = crate::camera::patience(exposure_s);
@@ -254,7 +256,7 @@ impl Live {
         lock(&self.state).picture.clone()
     }
 
-    /// Settings as the camera reported them last, the light, and what went wrong.
+    /// Returns the settings last reported by the camera, the light, and the last error.
     pub fn state(&self) -> (Option<Settings>, f64, Option<String>) {
         let state = lock(&self.state);
         (state.settings.clone(), state.light, state.error.clone())
@@ -265,13 +267,13 @@ impl Live {
             || lock(&self.state).looked.is_some_and(|t| t.elapsed() < LOOKS)
     }
 
-    /// Shows a frame, unless the last picture is too fresh.
+    /// Shows a frame, unless the last picture is too recent.
     fn show(&self, frame: &Frame, full_dn: u16, last: &mut Option<Instant>) {
         if !self.is_looked_at() || last.is_some_and(|t| t.elapsed() < BETWEEN) {
             return;
         }
         *last = Some(Instant::now());
-        // What it says is worked out by whoever looks: this thread may be capturing.
+        // Clients compute the statistics of the picture: this thread may be capturing.
         let frame = Arc::new(frame.clone());
         let mut state = lock(&self.state);
         let before = state.picture.take();
@@ -282,7 +284,7 @@ impl Live {
     }
 }
 
-/// A request that waits, however it ends.
+/// Guard that counts a waiting request until it ends.
 struct Waits<'a>(&'a AtomicUsize);
 
 impl<'a> Waits<'a> {
@@ -298,7 +300,8 @@ impl Drop for Waits<'_> {
     }
 }
 
-/// Half the variance of the difference of two frames, DN^2: the temporal variance of a pixel (EMVA 1288 release 4.0 Linear, eq. 19).
+/// Returns half the variance of the difference of two frames, DN^2: the temporal variance of a pixel (EMVA
+/// 1288 release 4.0 Linear, eq. 19).
 fn difference_variance(a: &Frame, b: &Frame) -> f64 {
     if a.pixels.dim() != b.pixels.dim() || a.pixels.is_empty() {
         return f64::NAN;
@@ -312,7 +315,7 @@ fn difference_variance(a: &Frame, b: &Frame) -> f64 {
     0.5 * (squares as f64 / n - (sum as f64 / n).powi(2))
 }
 
-/// Whether a folder holds a capture that has not all frames of its plan.
+/// Returns true if a folder holds an incomplete capture: fewer frames than in its plan.
 pub fn is_incomplete(folder: &Path) -> bool {
     let Ok(text) = crate::input::settings(&folder.join(PLAN_FILE)) else { return false };
     let Ok(plan) = Plan::from_toml(&text) else { return false };
@@ -329,7 +332,7 @@ struct Thread {
     last: Option<Instant>,
 }
 
-/// An order and where its answer goes.
+/// Order with the channel for its answer.
 type Ordered = (Order, Sender<Result<String, String>>);
 type Orders = Receiver<Ordered>;
 
@@ -364,7 +367,7 @@ impl Thread {
         }
     }
 
-    /// Shows frames until an order comes or nobody looks.
+    /// Streams frames until an order arrives or no client watches.
     fn look(&mut self, orders: &Orders) -> Result<Option<Ordered>, String> {
         let settings = self.camera.settings().map_err(|e| e.to_string())?;
         let full = settings.pixel_format.full_scale_dn();
@@ -384,14 +387,14 @@ impl Thread {
                 self.live.show(&frame, full, &mut self.last);
                 lock(&self.live.state).error = None;
             }
-            // A simulated camera is as fast as this machine: the pages need some of it.
+            // A simulated camera runs as fast as the machine allows; leave time for the pages.
             if let Some(rest) = self.last.and_then(|t| BETWEEN.checked_sub(t.elapsed())) {
                 std::thread::sleep(rest.min(Duration::from_millis(5)));
             }
         }
     }
 
-    /// Whether that was the last order.
+    /// Executes an order and sends the answer. Returns true after the last order.
     fn carry_out(&mut self, order: Order, answer: &Sender<Result<String, String>>) -> bool {
         let last = matches!(order, Order::End);
         let said = match order {
@@ -466,7 +469,7 @@ impl Thread {
             shown: Some(&mut shown),
         };
         let done = if is_incomplete(folder) {
-            // What was begun is ended first, by its own plan: an addition too.
+            // Complete an interrupted capture first, by its own plan; this also applies to an extension.
             capture.resume(folder)
         } else if extend {
             capture.extend(plan, folder, None)
@@ -488,7 +491,7 @@ mod tests {
     use super::*;
     use crate::camera::sim::{SharedBench, SimCamera};
 
-    /// Whoever moves the bench is asked on the page, and the bench waits for the answer; an answer that nobody asked for answers nothing.
+    /// The page prompts the operator and the bench waits for the answer. Unsolicited answers are ignored.
     #[test]
     fn the_page_asks_for_what_has_to_be_moved() {
         let operator = Arc::new(Operator::default());
@@ -504,7 +507,7 @@ mod tests {
         let mut asked = Vec::new();
         while !moved.is_finished() {
             if let Some((number, question)) = operator.question() {
-                // The answer to another question is none to this one; the last is given up.
+                // An answer to another question is ignored; the last question is given up.
                 operator.answer(number + 1, false);
                 operator.answer(number, !question.contains("Cover"));
                 asked.push(question);

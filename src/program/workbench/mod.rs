@@ -1,9 +1,11 @@
-//! The workbench: a page in the browser, served on this machine only, on which a campaign is looked at, compared with a model, and the model mended.
+//! Workbench: a browser page, served on this machine only, for viewing a campaign, comparing it with a model,
+//! and extending the model.
 //!
-//! One campaign lies on the desk. Its statistics are collected once; every switch of an effect fits and judges the model anew, as `radcam compare` does,
-//! and is a step that is kept in the dataset's folder. Long work (reading, searching, capturing, calibrating) runs beside the pages, one piece at a
-//! time. The pages are drawn here; htmx 2.0.11 replaces their parts, uPlot 1.6.32 makes figures answer to the pointer, and nothing is fetched from
-//! elsewhere.
+//! The desk holds one campaign, whose statistics are collected once. Every switch of an effect refits the
+//! model and compares it with the data, as `radcam compare` does, and is stored as a step in the dataset's
+//! folder. Jobs (reading, searching, capturing, calibrating) run in the background, one at a time. Pages are
+//! rendered on the server; htmx 2.0.11 replaces parts of them, uPlot 1.6.32 makes figures interactive, and no
+//! external resources are loaded.
 
 mod actions;
 mod desk;
@@ -29,31 +31,32 @@ use std::sync::{Arc, Mutex, OnceLock};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-/// What lies on the desk and how it is reached.
+/// Options of the workbench.
 pub struct Options {
-    /// Dataset folder, EMVA 1288 descriptor or table; with a camera the folder of the capture, which need not be there.
+    /// Dataset folder, EMVA 1288 descriptor or table. With a camera: the folder of the capture, which need
+    /// not exist.
     pub dataset: Option<PathBuf>,
-    /// Other campaigns to stand beside it.
+    /// Other campaigns for comparison.
     pub others: Vec<PathBuf>,
-    /// Row and column of the one pixel of every 2 x 2 cell that is looked at, of colour mosaics.
+    /// Row and column of the evaluated pixel of every 2 x 2 cell, for colour mosaics.
     pub plane: Option<[u8; 2]>,
-    /// A history of `radcam monitor`, as its `--store`.
+    /// History of `radcam monitor`, as its `--store`.
     pub history: Option<String>,
-    /// The camera.
+    /// Camera.
     pub camera: Option<Box<dyn Camera>>,
-    /// How its stream is set up.
+    /// Stream options of the camera.
     pub stream: StreamOptions,
-    /// Effects that the model begins with.
+    /// Initial effects of the model.
     pub effects: Vec<EffectValues>,
-    /// Where the page is served; port 0 takes a free one.
+    /// Address of the server; port 0 selects a free one.
     pub address: SocketAddr,
 }
 
-/// What all requests share.
+/// State shared by all request handlers.
 pub struct Shared {
     token: String,
     port: u16,
-    /// Names under which this server answers.
+    /// Accepted values of the Host header.
     hosts: Vec<String>,
     dataset: Option<PathBuf>,
     others: Vec<PathBuf>,
@@ -64,17 +67,17 @@ pub struct Shared {
     job: Mutex<Option<Arc<Job>>>,
     runs: Mutex<Vec<actions::Run>>,
     live: OnceLock<Arc<Live>>,
-    /// Counts everything that a page shows: the model, and the rest.
+    /// Revision counters: of the model, and of everything that a page shows.
     changed: watch::Sender<(u64, u64)>,
 }
 
 impl Shared {
-    /// Tells the pages that the model or the campaign changed.
+    /// Notifies the pages that the model or the campaign changed.
     fn model_changed(&self) {
         self.changed.send_modify(|c| *c = (c.0 + 1, c.1 + 1));
     }
 
-    /// Tells them that work goes on, or an answer came.
+    /// Notifies the pages of progress or a new result.
     fn status_changed(&self) {
         self.changed.send_modify(|c| c.1 += 1);
     }
@@ -88,7 +91,7 @@ impl Shared {
     }
 }
 
-/// A server that is bound, and not yet answering.
+/// Server that is bound but not yet serving.
 pub struct Workbench {
     listener: std::net::TcpListener,
     shared: Arc<Shared>,
@@ -96,11 +99,11 @@ pub struct Workbench {
 }
 
 impl Workbench {
-    /// Binds the address, opens the camera's thread and begins to read the campaign.
+    /// Binds the address, starts the camera thread and begins to read the campaign.
     ///
     /// # Errors
     ///
-    /// Where the address is taken, or the system has no random numbers.
+    /// The address is in use, or the system has no random numbers.
     pub fn open(options: Options) -> Result<Self, String> {
         let fault = |e: std::io::Error| format!("{}: {e}", options.address);
         let listener = std::net::TcpListener::bind(options.address).map_err(fault)?;
@@ -134,16 +137,16 @@ impl Workbench {
         Ok(Self { listener, shared, address })
     }
 
-    /// The address with its token, to be opened in a browser.
+    /// Returns the address with its token, for a browser.
     pub fn url(&self) -> String {
         format!("http://{}/?token={}", self.address, self.shared.token)
     }
 
-    /// Answers until `end` is set.
+    /// Serves requests until `end` is set.
     ///
     /// # Errors
     ///
-    /// Where the server cannot be started.
+    /// The server cannot be started.
     pub fn serve(self, end: &std::sync::atomic::AtomicBool) -> Result<(), String> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(4)
@@ -164,7 +167,7 @@ impl Workbench {
         if let Some(live) = self.shared.live() {
             live.end();
         }
-        // Long work ends with the program.
+        // Jobs end with the program.
         runtime.shutdown_timeout(std::time::Duration::from_millis(300));
         Ok(())
     }
@@ -225,7 +228,7 @@ async fn asset(kind: &'static str, text: &'static str) -> impl IntoResponse {
     ([(header::CONTENT_TYPE, format!("{kind}; charset=utf-8"))], text)
 }
 
-/// Work that the user waits for on another thread, so that pages go on answering.
+/// Runs blocking work on another thread, so that pages still respond.
 async fn aside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
     tokio::task::spawn_blocking(work).await.map_err(|e| format!("the work ended early: {e}"))
 }

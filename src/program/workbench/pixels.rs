@@ -1,4 +1,5 @@
-//! Pixels of frames as numbers for the viewer, thumbnails, and the live picture. Frames are addressed by set and place, never by a path.
+//! Pixels of frames as numbers for the viewer, thumbnails, and the live picture. Frames are addressed by set
+//! and index, never by path.
 
 use super::{Shared, aside};
 use crate::dataset::image::Buffer;
@@ -12,16 +13,16 @@ use serde::Deserialize;
 use std::io::Cursor;
 use std::sync::Arc;
 
-/// What is looked at.
+/// Requested image.
 #[derive(Deserialize)]
 pub struct Wanted {
     set: u32,
     #[serde(default)]
     index: usize,
-    /// frame, difference, mean or variance.
+    /// One of: frame, difference, mean, variance.
     #[serde(default)]
     of: String,
-    /// The frame of the same set that is taken off for a difference; the one before where not given.
+    /// Subtracted frame of the same set, for a difference; the preceding one if absent.
     less: Option<usize>,
 }
 
@@ -40,7 +41,8 @@ fn frame(dataset: &Dataset, set: &Set, index: usize) -> Result<Array2<u16>, Stri
     dataset.read(&dataset.rows()[*row]).map_err(|e| e.to_string())
 }
 
-/// Mean and temporal variance of a set's frames, pixel by pixel (Welford 1962, Technometrics 4, 419).
+/// Computes mean and temporal variance of a set's frames, pixel by pixel (Welford 1962, Technometrics 4,
+/// 419).
 fn moments(dataset: &Dataset, set: &Set) -> Result<[Array2<f32>; 2], String> {
     let mut buffer = Buffer::default();
     let (mut mean, mut squares): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
@@ -91,7 +93,7 @@ fn numbers(image: &Array2<f32>) -> Response {
         .into_response()
 }
 
-/// A frame, a difference, a mean or a variance as 32-bit floats, little-endian, row by row.
+/// Serves a frame, difference, mean or variance as 32-bit floats, little-endian, row by row.
 pub async fn pixels(State(shared): State<Arc<Shared>>, Query(q): Query<Wanted>) -> Response {
     let image = aside(move || {
         let campaign = shared.desk().campaign().ok_or("there is no campaign yet")?;
@@ -103,10 +105,10 @@ pub async fn pixels(State(shared): State<Arc<Shared>>, Query(q): Query<Wanted>) 
     }
 }
 
-/// Columns of a thumbnail at most.
+/// Maximum columns of a thumbnail.
 const SMALL: usize = 160;
 
-/// The first frame of a set, small, its own range from black to white.
+/// Serves a thumbnail of the first frame of a set.
 pub async fn thumbnail(State(shared): State<Arc<Shared>>, Query(q): Query<Wanted>) -> Response {
     let png = aside(move || -> Result<Vec<u8>, String> {
         let campaign = shared.desk().campaign().ok_or("there is no campaign yet")?;
@@ -115,7 +117,7 @@ pub async fn thumbnail(State(shared): State<Arc<Shared>>, Query(q): Query<Wanted
         let full = f32::from(dataset.manifest().camera.full_scale_dn());
         let step = pixels.ncols().div_ceil(SMALL).max(1);
         let small = pixels.slice(ndarray::s![..;step, ..;step]);
-        // Against full scale, by its square root: dark sets are dark, and their pattern is still seen.
+        // Square root of the fraction of full scale: dark sets stay dark, and their pattern is still visible.
         let grey = small.iter().map(|v| (255.0 * (f32::from(*v) / full).min(1.0).sqrt()) as u8).collect();
         let (rows, columns) = small.dim();
         let picture = GrayImage::from_raw(columns as u32, rows as u32, grey).ok_or("no pixels")?;
@@ -129,14 +131,15 @@ pub async fn thumbnail(State(shared): State<Arc<Shared>>, Query(q): Query<Wanted
     }
 }
 
-/// The last picture that was seen.
+/// Number of the last picture received.
 #[derive(Deserialize)]
 pub struct After {
     #[serde(default)]
     after: u64,
 }
 
-/// The live picture once there is a newer one: 16-bit codes, little-endian, row by row; what it says in headers.
+/// Serves the live picture as soon as there is a newer one: 16-bit codes, little-endian, row by row;
+/// statistics in headers.
 pub async fn live(State(shared): State<Arc<Shared>>, Query(q): Query<After>) -> Response {
     let Some(live) = shared.live() else { return refused("there is no camera") };
     let Some(p) = live.picture(q.after).await else {

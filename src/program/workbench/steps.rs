@@ -1,56 +1,56 @@
-//! The model on the desk and how it came to be: steps that are kept in the dataset's folder, so that a reload, a second tab or a restart loses
-//! nothing, and that can be taken back.
+//! Model on the desk with its history. Steps are stored in the dataset's folder: a reload, a second tab or a
+//! restart loses nothing, and steps can be undone.
 
 use crate::dataset::write_whole;
 use radcam_sim::{EffectValues, Model, ModelError};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Name and major version of the file.
+/// Name and major version of the file format.
 const FORMAT: &str = "radcam-workbench/1";
 
-/// An effect of the model with its switch.
+/// Effect of the model with its switch.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Entry {
-    /// Whether it is in the model.
+    /// True if the effect is in the model.
     pub on: bool,
-    /// The effect and its values.
+    /// Effect and its values.
     pub effect: EffectValues,
 }
 
 impl Entry {
-    /// Its identifier, or the name of one's own effect.
+    /// Returns the identifier, or the name of the user's own effect.
     pub fn name(&self) -> &str {
         self.effect.called()
     }
 }
 
-/// A state of the model.
+/// State of the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Step {
-    /// What was done.
+    /// Description of the change.
     pub what: String,
-    /// Error on frames that the fit did not see.
+    /// Error on held-out frames.
     pub error: f64,
-    /// Chance of such residuals.
+    /// p-value of the residuals.
     pub p_value: f64,
-    /// The effects.
+    /// Effects of the model.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub entries: Vec<Entry>,
 }
 
 impl Step {
-    /// Effects that are switched on.
+    /// Iterates over the effects that are switched on.
     pub fn on(&self) -> impl Iterator<Item = &EffectValues> {
         self.entries.iter().filter(|e| e.on).map(|e| &e.effect)
     }
 }
 
-/// What is kept.
+/// Contents of the steps file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Steps {
     format: String,
-    /// The steps, the model as given first.
+    /// Steps, the model as given first.
     #[serde(default)]
     pub step: Vec<Step>,
 }
@@ -61,21 +61,21 @@ impl Default for Steps {
     }
 }
 
-/// Calibration by the pixels' own response, and flat-field correction, in that folder.
+/// Calibration by the pixels' own response, and flat-field correction, in the workbench folder.
 pub const CALIBRATION: &str = "cal.tiff";
 pub const FLAT_FIELD: &str = "flat-field.tiff";
 
-/// The folder of what the workbench keeps about a dataset: inside a folder, beside a file.
+/// Returns the workbench folder of a dataset: inside a dataset folder, beside a dataset file.
 pub fn folder_of(dataset: &Path) -> PathBuf {
     if dataset.is_file() { dataset.with_extension("workbench") } else { dataset.join("workbench") }
 }
 
 impl Steps {
-    /// What was kept in a folder; nothing where nothing was.
+    /// Reads the steps stored in a folder; empty if there are none.
     ///
     /// # Errors
     ///
-    /// A file that cannot be understood, by its name.
+    /// The file is invalid; the message names it.
     pub fn read(folder: &Path) -> Result<Self, String> {
         let path = folder.join("steps.toml");
         let text = match crate::input::settings(&path) {
@@ -95,11 +95,12 @@ impl Steps {
         Ok(steps)
     }
 
-    /// Keeps the steps, and the effects that are on as a model file, by which `radcam compare` gives the same error.
+    /// Writes the steps, and the effects that are on as a model file, with which `radcam compare` gives the
+    /// same error.
     ///
     /// # Errors
     ///
-    /// Where the folder cannot be written.
+    /// The folder cannot be written.
     pub fn write(&self, folder: &Path, model: &Model) -> Result<(), String> {
         let fault = |e: &dyn std::fmt::Display| format!("{} cannot be kept: {e}", folder.display());
         crate::output::folder(folder).map_err(|e| fault(&e))?;
@@ -109,17 +110,18 @@ impl Steps {
         write_whole(&folder.join("model.toml"), text.as_bytes()).map_err(|e| e.to_string())
     }
 
-    /// The model as it stands.
+    /// Returns the current step.
     pub fn now(&self) -> Option<&Step> {
         self.step.last()
     }
 }
 
-/// One's own effect from what was typed: a name, what it changes, the formula, and its parameters as `k = 0.1, b = 2`.
+/// Parses the user's own effect from typed text: a name, its target, the formula, and its parameters as
+/// `k = 0.1, b = 2`.
 ///
 /// # Errors
 ///
-/// What cannot be understood.
+/// The text is invalid.
 pub fn own(name: &str, target: &str, formula: &str, parameters: &str) -> Result<EffectValues, ModelError> {
     let fault = |text: String| ModelError::Effect(text);
     let mut e = EffectValues { id: "custom".into(), name: Some(name.trim().into()), ..Default::default() };

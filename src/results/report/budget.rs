@@ -1,4 +1,4 @@
-//! The variance budget as a plot and a page (Fig. 4 of the paper).
+//! Variance budget as a plot and a page (Fig. 4 of the paper).
 
 use super::page;
 use super::svg::{Panel, picture};
@@ -10,7 +10,7 @@ use maud::{Markup, html};
 /// Colours of the parts, in the order of [`NAMES`].
 const COLOURS: [&str; 5] = ["var(--data)", "var(--fit)", "var(--good)", "var(--soft)", "var(--bad)"];
 
-/// Shares of the variance against intensity.
+/// Plots the shares of the variance against intensity.
 pub fn plot(levels: &[Level]) -> Markup {
     let right = levels.last().map_or(1.0, |l| l.mean_dn);
     let panel = Panel { frame: [72.0, 14.0, 620.0, 330.0], x: (0.0, right), y: (0.0, 1.0) };
@@ -31,7 +31,7 @@ pub fn plot(levels: &[Level]) -> Markup {
     )
 }
 
-/// The page of one region.
+/// Renders the page of one region.
 pub fn html(subtitle: &str, seen: &Variation, levels: &[Level]) -> String {
     let v = &seen.scene_variation;
     let body = html! {

@@ -1,11 +1,11 @@
-//! What is missing: each effect with what it is, how large, what shows it, and what to do.
+//! Missing effects: each with its description, size, evidence and remedy.
 
 use crate::diagnosis::{Missing, Proposal, capital};
 use crate::number::percent;
 use maud::{Markup, html};
 use radcam_sim::effects::find;
 
-/// What stands beside a name.
+/// Returns the note beside an effect's name.
 pub fn heading(m: &Missing) -> String {
     let mut parts = Vec::new();
     if m.effect == "unknown" {
@@ -27,7 +27,7 @@ pub fn heading(m: &Missing) -> String {
     parts.join("; ")
 }
 
-/// One candidate.
+/// Renders one candidate.
 pub fn candidate(m: &Missing) -> Markup {
     let page = find(&m.effect).map(|e| e.page());
     let meaning = |name: &str| {
@@ -66,7 +66,7 @@ pub fn candidate(m: &Missing) -> Markup {
     }
 }
 
-/// Law for what has no name: in words, as formulas, and what it points to.
+/// Renders a law for an unnamed effect: in words, as formulas, with its implications.
 pub fn law(p: &Proposal) -> Markup {
     html! {
         section.effect {

@@ -1,4 +1,5 @@
-//! The EMVA 1288 datasheet: general data, the summary page with its table and two plots, every plot, every number. It prints on A4.
+//! EMVA 1288 datasheet: general data, the summary page with its table and two plots, all plots, all
+//! quantities. Prints on A4.
 
 use super::plot::{figure, in_html};
 use crate::dataset::CameraInfo;
@@ -8,14 +9,14 @@ use crate::number::Quantity;
 use crate::plot::Plot;
 use maud::{Markup, html};
 
-/// What stands at the head.
+/// Head of the datasheet.
 #[derive(Debug)]
 pub struct Head<'a> {
-    /// The camera.
+    /// Camera.
     pub camera: &'a CameraInfo,
     /// Dataset or descriptor.
     pub source: String,
-    /// The command that made it.
+    /// Command that made the datasheet.
     pub command: String,
 }
 
@@ -152,7 +153,7 @@ fn whole_table(e: &Evaluation) -> Markup {
     }
 }
 
-/// The page.
+/// Renders the datasheet.
 pub fn html(head: &Head<'_>, points: &Points, e: &Evaluation, plots: &[Plot]) -> String {
     let camera = format!("{} {}", head.camera.vendor, head.camera.model);
     let title = if camera.trim().is_empty() {

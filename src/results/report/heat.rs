@@ -1,4 +1,5 @@
-//! The picture of all residuals: statistics down, sets across by kind and level, colour and number by the standardised residual.
+//! Heat map of all residuals. Rows are statistics, columns are sets by kind and level; colour and number show
+//! the standardised residual.
 
 use crate::dataset::Kind;
 use crate::inference::{Comparison, Residual};
@@ -6,12 +7,13 @@ use crate::number::pretty;
 use maud::{Markup, html};
 use std::collections::BTreeMap;
 
-/// Residual from which its number is written, standard errors.
+/// Minimum residual whose number is printed, standard errors.
 const WRITTEN: f64 = 3.0;
-/// Residual at which the colour is full, standard errors.
+/// Residual at full colour, standard errors.
 const FULL: f64 = 6.0;
 
-/// Background of a residual: blue below the model, orange above; colour-blind readers tell the two apart, and the number has the sign.
+/// Returns the background of a residual: blue below the model, orange above. Colour-blind readers can tell
+/// the two apart, and the number carries the sign.
 fn colour(z: f64) -> String {
     let strength = 0.6 * (z.abs() / FULL).min(1.0);
     format!("background: rgba(var(--{}), {strength:.2})", if z > 0.0 { "high" } else { "low" })
@@ -27,7 +29,7 @@ fn number(z: f64) -> String {
     }
 }
 
-/// A residual in words.
+/// Describes a residual in words.
 pub fn words(r: &Residual) -> String {
     let place = r.set.map_or("whole campaign".into(), |set| format!("set {set} at {} DN", level(r.level_dn)));
     let unit = pretty(&r.unit);
@@ -42,14 +44,14 @@ pub fn words(r: &Residual) -> String {
     )
 }
 
-/// A column: a set.
+/// One column: a set.
 struct Column {
     set: u32,
     level_dn: f64,
     kind: Option<Kind>,
 }
 
-/// Sets in the order of the picture: darks, flats, scenes, each by level, then by number.
+/// Returns the sets in display order: darks, flats, scenes, each by level, then by number.
 fn columns(residuals: &[Residual], kind: &dyn Fn(u32) -> Option<Kind>) -> Vec<Column> {
     let mut levels: BTreeMap<u32, f64> = BTreeMap::new();
     for r in residuals {
@@ -71,21 +73,22 @@ fn columns(residuals: &[Residual], kind: &dyn Fn(u32) -> Option<Kind>) -> Vec<Co
     out
 }
 
-/// The worst residual of a statistic in a set.
+/// Returns the worst residual of a statistic in a set.
 fn worst<'r>(residuals: &'r [Residual], name: &str, set: u32) -> Option<&'r Residual> {
     let of = residuals.iter().filter(|r| r.set == Some(set) && r.observable == name);
     of.max_by(|a, b| a.z.abs().total_cmp(&b.z.abs()))
 }
 
-/// A cell of a page that answers to nothing: its number, and in words for whoever does not see it.
+/// Renders a cell of a static page: the number, with a text for screen readers.
 pub fn plain(r: &Residual, number: &str) -> Markup {
     html! { (number) @if !number.is_empty() { span.hidden { " " (words(r)) } } }
 }
 
-/// Draws a cell where the caller wants more than a cell.
+/// Cell renderer, for callers that need more than a plain cell.
 pub type Cell<'a> = dyn Fn(&Residual, &str) -> Markup + 'a;
 
-/// The picture, under a title. `kind` says what a set shows; `cell` draws what stands in a cell, given its residual and its number.
+/// Renders the heat map under a title. `kind` returns the kind of a set. `cell` renders the contents of a
+/// cell from its residual and its number.
 pub fn picture(c: &Comparison, title: &str, kind: &dyn Fn(u32) -> Option<Kind>, cell: &Cell<'_>) -> Markup {
     let residuals = &c.residuals;
     let columns = columns(residuals, kind);
@@ -134,7 +137,7 @@ pub fn picture(c: &Comparison, title: &str, kind: &dyn Fn(u32) -> Option<Kind>, 
     }
 }
 
-/// A level, without a sign where it is nothing.
+/// Formats a level; values that round to 0 have no sign.
 pub fn level(dn: f64) -> String {
     if dn.abs() < 0.5 { "0".into() } else { format!("{dn:.0}") }
 }
@@ -151,7 +154,8 @@ fn scale() -> Markup {
     }
 }
 
-/// Statistics of the whole campaign: codes, taps, scenes, spectrum, settings; a cell for each value of each half.
+/// Renders statistics of the whole campaign (codes, taps, scenes, spectrum, settings), one cell per value and
+/// half.
 fn of_campaign(residuals: &[Residual], title: &str, cell: &Cell<'_>) -> Markup {
     let all: Vec<&Residual> = residuals.iter().filter(|r| r.set.is_none()).collect();
     let mut names: Vec<&str> = Vec::new();

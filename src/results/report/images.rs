@@ -1,4 +1,4 @@
-//! Images with their scale, as PNG in the page.
+//! Images with a scale, embedded in the page as PNG.
 
 use super::plot::in_html;
 use crate::number::pretty;
@@ -9,10 +9,10 @@ use maud::{Markup, html};
 use ndarray::Array2;
 use std::io::Cursor;
 
-/// Columns of a picture at most: the page stays small.
+/// Maximum columns of a picture; keeps the page small.
 const COLUMNS: usize = 640;
 
-/// Means over blocks, so that no pixel is left out.
+/// Averages over blocks, so that no pixel is skipped.
 fn reduced(values: &Array2<f32>) -> (Array2<f32>, usize) {
     let step = values.ncols().div_ceil(COLUMNS).max(1);
     let blocks = values.exact_chunks((step, step));
@@ -21,7 +21,7 @@ fn reduced(values: &Array2<f32>) -> (Array2<f32>, usize) {
     (Array2::from_shape_vec(shape, means).unwrap_or_else(|_| values.clone()), step)
 }
 
-/// Values between which 99 % of the pixels lie.
+/// Returns the central 99 % range of the pixel values.
 fn range(values: &Array2<f32>) -> (f32, f32) {
     let mut sorted: Vec<f32> = values.iter().copied().filter(|v| v.is_finite()).collect();
     if sorted.is_empty() {
@@ -34,7 +34,7 @@ fn range(values: &Array2<f32>) -> (f32, f32) {
     (low, if high > low { high } else { low + 1.0 })
 }
 
-/// A map as a picture.
+/// Renders a map as a picture.
 pub fn map(m: &Map) -> Markup {
     let (values, step) = reduced(&m.values);
     let (low, high) = range(&values);

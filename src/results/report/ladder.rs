@@ -1,23 +1,23 @@
-//! The ladder: the error after each addition, on a logarithmic axis with the line at 1.
+//! Ladder of errors: the error after each addition, on a logarithmic axis with a line at 1.
 
 use crate::diagnosis::Rung;
 use crate::number::chance;
 use maud::{Markup, html};
 
-/// Errors that an axis up to `top` names.
+/// Returns the tick values of an axis up to `top`.
 fn ticks(top: f64) -> Vec<f64> {
     let all = [1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0, 300.0, 1000.0, 1e4, 1e5];
     let within: Vec<f64> = all.into_iter().filter(|t| *t <= top).collect();
-    // Not closer than the numbers are wide.
+    // At most 5 ticks, so that labels do not overlap.
     let skip = within.len().div_ceil(5).max(1);
     within.into_iter().step_by(skip).collect()
 }
 
-/// The ladder. `beside` draws what stands beside a rung.
+/// Renders the ladder. `beside` renders the contents beside a rung.
 pub fn ladder(rungs: &[Rung], beside: &dyn Fn(usize) -> Markup) -> Markup {
     let worst = rungs.iter().map(|r| r.error).filter(|e| e.is_finite()).fold(1.5, f64::max);
     let (low, high) = (0.85f64, worst * 1.08);
-    // Per cent of the axis.
+    // In per cent of the axis.
     let x = |error: f64| 100.0 * (error.clamp(low, high) / low).ln() / (high / low).ln();
     let one = x(1.0);
     html! {

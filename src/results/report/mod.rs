@@ -1,4 +1,5 @@
-//! Reports as single HTML files that open offline: figures are drawn in the page, and a script that is in the page makes them interactive.
+//! Reports as single HTML files that open offline. Figures are embedded in the page; an embedded script makes
+//! them interactive.
 
 pub mod budget;
 pub(crate) mod candidates;
@@ -16,32 +17,32 @@ pub use candidates::heading;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-/// Colours and measures of every page; the system's dark mode is followed, and paper is white.
+/// Colours and sizes of all pages. Follows the system's dark mode; print is white.
 pub(crate) const STYLE: &str =
     concat!(include_str!("assets/uplot/uPlot.min.css"), include_str!("assets/style.css"));
-/// What makes figures answer to the pointer (uPlot 1.6.32, MIT).
+/// Scripts that make figures interactive (uPlot 1.6.32, MIT).
 pub(crate) const SCRIPTS: [&str; 2] =
     [include_str!("assets/uplot/uPlot.iife.min.js"), include_str!("assets/figures.js")];
-/// Nothing is fetched: a page that tried would be stopped by the browser.
+/// Content security policy: the browser blocks every fetch.
 const POLICY: &str =
     "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'";
 
-/// A whole page.
+/// Renders a whole page.
 fn page(title: &str, subtitle: &str, body: Markup) -> String {
     document(title, html! { h1 { (title) } p.sub { (subtitle) } (body) })
 }
 
-/// What may be wider than a phone: it scrolls by itself, by the keyboard too.
+/// Wraps content that may be wider than a phone: it scrolls separately, also by keyboard.
 pub(crate) fn scrolled(label: &str, body: Markup) -> Markup {
     html! { div.scroll tabindex="0" role="region" aria-label=(label) { (body) } }
 }
 
-/// A document whose body says everything.
+/// Renders a document from a complete body.
 fn document(title: &str, body: Markup) -> String {
     styled(title, "", body)
 }
 
-/// A document with a style of its own beside that of all.
+/// Renders a document with additional styles.
 fn styled(title: &str, style: &str, body: Markup) -> String {
     html! {
         (DOCTYPE)

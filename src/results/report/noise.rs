@@ -1,4 +1,4 @@
-//! The photon-transfer page: points, line, residuals, estimators, levels.
+//! Photon-transfer page: points, line, residuals, estimators, levels.
 
 use super::svg::{Mark, Panel, picture, range};
 use super::{page, scrolled};
@@ -7,7 +7,7 @@ use crate::number::Quantity;
 use crate::number::with_error;
 use maud::{Markup, html};
 
-/// What a simulated camera was made with, for comparison.
+/// True parameters of a simulated camera, for comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     /// A, DN per electron.
@@ -19,7 +19,7 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// (what, measured, truth) for each quantity.
+    /// Returns (name, measured, truth) for each quantity.
     pub fn rows<'a>(&self, r: &'a NoiseReport) -> [(&'static str, &'a Quantity, f64); 3] {
         [
             ("system gain A", &r.gain_dn_per_e, self.gain_dn_per_e),
@@ -29,12 +29,12 @@ impl Truth {
     }
 }
 
-/// Distance from the truth in standard errors.
+/// Returns the distance from the truth in standard errors.
 pub fn sigmas(measured: &Quantity, truth: f64) -> f64 {
     (measured.value - truth) / measured.std_err
 }
 
-/// The page of a noise estimate.
+/// Renders the page of a noise estimate.
 pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Truth>) -> String {
     let used = report.levels.iter().filter(|l| l.used).count();
     let class = if report.consistent() { "good" } else { "bad" };
@@ -99,7 +99,7 @@ pub fn html(title: &str, subtitle: &str, report: &NoiseReport, truth: Option<&Tr
     page(title, subtitle, body)
 }
 
-/// Variance against mean with the line, and the residuals below.
+/// Plots the variance against the mean with the fitted line, and the residuals below.
 pub fn plot(report: &NoiseReport) -> Markup {
     let (a, c) = (report.gain_dn_per_e.value, report.constant_noise_var_dn2.value);
     let levels = &report.levels;

@@ -1,5 +1,5 @@
-//! Plots of series as SVG: linear and logarithmic axes, points with error bars, curves with bands, steps, a
-//! legend below.
+//! Plots of series as SVG: linear and logarithmic axes, points with error bars, curves with bands, steps, and
+//! a legend below.
 
 use crate::plot::{Axis, Plot, Series, Shape};
 use maud::{Markup, html};
@@ -9,10 +9,10 @@ use serde_json::json;
 const SIZE: (f64, f64) = (440.0, 262.0);
 const MARGIN: [f64; 4] = [62.0, 10.0, 14.0, 46.0];
 
-/// Colours that colour-blind readers tell apart (Okabe and Ito, 2008); the page's style defines them.
+/// Colours that colour-blind readers can tell apart (Okabe and Ito, 2008). The page's style defines them.
 const COLOURS: [&str; 5] = ["var(--c0)", "var(--c1)", "var(--c2)", "var(--c3)", "var(--c4)"];
 
-/// Values between ends, on a linear or a logarithmic scale, as user units.
+/// Linear or logarithmic scale from values to user units.
 struct Scale {
     log: bool,
     from: f64,
@@ -29,13 +29,13 @@ impl Scale {
             (from, to) = if axis.log { (0.1, 1.0) } else { (0.0, 1.0) };
         }
         if axis.log {
-            // Six decades at most; what lies below is cut.
+            // At most six decades; smaller values are clipped.
             from = from.max(to * 1e-6);
             let room = (to / from).powf(0.04).max(1.05);
             (from, to) = (from / room, to * room);
         } else {
             let room = if to > from { 0.04 * (to - from) } else { 0.5 * to.abs().max(1.0) };
-            // A scale that begins at nothing keeps to it.
+            // A scale that begins at 0 has no margin below.
             (from, to) = (if from == 0.0 { 0.0 } else { from - room }, to + room);
         }
         Self { log: axis.log, from, to, at }
@@ -49,7 +49,7 @@ impl Scale {
         }
     }
 
-    /// User units; what lies outside stands at the edge.
+    /// Converts to user units. Values outside the scale are clamped to its ends.
     fn px(&self, v: f64) -> f64 {
         self.at.0 + (self.at.1 - self.at.0) * self.unit(v).clamp(0.0, 1.0)
     }
@@ -69,7 +69,7 @@ impl Scale {
             let every = decades.len().div_ceil(6);
             return decades.into_iter().step_by(every).collect();
         }
-        // Within a decade or two: some of each.
+        // Within a decade or two: some multiples of each decade.
         let narrow = self.to / self.from < 12.0;
         let multiples: &[f64] = if narrow { &[1.0, 1.5, 2.0, 3.0, 5.0, 7.0] } else { &[1.0, 2.0, 5.0] };
         let of = |e: i32| multiples.iter().map(move |m| m * 10f64.powi(e));
@@ -77,7 +77,7 @@ impl Scale {
     }
 }
 
-/// A number of an axis: thousands apart, no rubbish digits.
+/// Formats a number of an axis, with thousands separators and without rounding noise.
 fn linear(v: f64) -> String {
     let a = v.abs();
     if a > 0.0 && !(1e-3..1e6).contains(&a) {
@@ -108,7 +108,7 @@ fn power(exponent: i32) -> String {
     }
 }
 
-/// Points of a curve at most: what a plot of this width can show.
+/// Maximum points of a curve: the resolution of a plot of this width.
 const CURVE: usize = 900;
 
 fn path(points: impl Iterator<Item = (f64, f64)>) -> String {
@@ -156,7 +156,7 @@ fn drawn(s: &Series, colour: &str, x: &Scale, y: &Scale) -> Markup {
     }
 }
 
-/// A text in pieces, and whether each is a subscript: `σ²_y.dark (DN²)` has one, `y.dark`.
+/// Splits a text into pieces, each flagged if it is a subscript: `σ²_y.dark (DN²)` has one, `y.dark`.
 fn pieces(text: &str) -> Vec<(String, bool)> {
     let mut out = vec![(String::new(), false)];
     for c in text.chars() {
@@ -174,7 +174,7 @@ fn pieces(text: &str) -> Vec<(String, bool)> {
     out
 }
 
-/// A symbol with its subscripts.
+/// Renders a symbol with its subscripts.
 pub fn in_html(text: &str) -> Markup {
     html! { @for (piece, below) in pieces(text) { @if below { sub { (piece) } } @else { (piece) } } }
 }
@@ -193,17 +193,17 @@ fn in_svg(text: &str) -> Markup {
     }
 }
 
-/// A coordinate to a tenth of a unit.
+/// Formats a coordinate to a tenth of a unit.
 fn fine(v: f64) -> String {
     format!("{v:.1}")
 }
 
-/// Five digits.
+/// Rounds to five significant digits.
 fn significant(v: f64) -> f64 {
     format!("{v:.4e}").parse().unwrap_or(v)
 }
 
-/// Values of a series that its scale must hold.
+/// Returns the values of a series that its scale must include.
 fn ends(s: &Series) -> impl Iterator<Item = f64> {
     let bars = s.shape == Shape::Points;
     s.points.iter().flat_map(move |p| {
@@ -212,7 +212,7 @@ fn ends(s: &Series) -> impl Iterator<Item = f64> {
     })
 }
 
-/// What the script needs beside the numbers, which it takes from the CSV.
+/// Describes a plot for the script, which reads the numbers from the CSV.
 fn description(plot: &Plot) -> String {
     let axis = |a: &Axis| json!({ "title": a.title, "log": a.log });
     let shape = |s: Shape| match s {
@@ -227,7 +227,7 @@ fn description(plot: &Plot) -> String {
     json!({ "x": axis(&plot.x), "y": axis(&plot.y), "range": range, "series": series }).to_string()
 }
 
-/// Text as part of a `data:` address.
+/// Encodes text for a `data:` URL.
 fn in_address(text: &str) -> String {
     let mut out = String::with_capacity(text.len() + text.len() / 8);
     for byte in text.bytes() {
@@ -239,12 +239,12 @@ fn in_address(text: &str) -> String {
     out
 }
 
-/// A figure: title, plot, legend, its numbers as CSV.
+/// Renders a figure: title, plot, legend, and its numbers as CSV.
 pub fn figure(plot: &Plot) -> Markup {
     figure_of(plot, "")
 }
 
-/// A figure as wide as the page.
+/// Renders a figure at full page width.
 #[cfg(feature = "cli")]
 pub fn wide(plot: &Plot) -> Markup {
     figure_of(plot, "wide")
@@ -258,7 +258,7 @@ fn figure_of(plot: &Plot, class: &str) -> Markup {
     let at = (height - bottom, top);
     let y = match plot.y_range {
         Some((from, to)) => Scale { log: false, from, to, at },
-        // With the error bars.
+        // Include the error bars.
         None => Scale::of(&plot.y, plot.series.iter().flat_map(ends), at),
     };
     let (low, high) = (height - bottom, top);
@@ -328,7 +328,7 @@ mod tests {
         let labels: Vec<String> = log.ticks(5.0).into_iter().map(|t| t.1).collect();
         assert_eq!(labels, ["1", "10", "10²", "10³", "10⁴"]);
         assert!(log.px(100.0) > 45.0 && log.px(100.0) < 55.0);
-        // Nothing to draw makes no rubbish.
+        // An empty plot must still have a finite scale.
         let none = Scale::of(&axis(false), [f64::NAN].into_iter(), (0.0, 1.0));
         assert!(none.px(0.5).is_finite());
     }

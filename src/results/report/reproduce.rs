@@ -1,4 +1,4 @@
-//! The page of `radcam reproduce`: the paper's numbers and its four figures.
+//! Page of `radcam reproduce`: the paper's numbers and its four figures.
 
 use super::svg::{Mark, Panel, picture, range};
 use super::{budget, noise, page};
@@ -9,7 +9,7 @@ use maud::{Markup, html};
 /// Colours of the four surfaces.
 const COLOURS: [&str; 4] = ["var(--data)", "var(--fit)", "var(--good)", "var(--bad)"];
 
-/// The whole page.
+/// Renders the whole page.
 pub fn html(r: &Reproduction) -> String {
     let agree = r.rows.iter().filter(|row| row.agrees == Some(true)).count();
     let body = html! {

@@ -1,5 +1,5 @@
-//! The page of a campaign: the verdict first, then what decided, the ladder, what is missing, the residuals, the camera's curves and images, every
-//! quantity, and where all of it comes from.
+//! Page of a campaign: verdict, deciding evidence, ladder, missing effects, residuals, curves and images of
+//! the camera, all quantities, provenance.
 
 use super::candidates::{candidate, law};
 use super::document;
@@ -15,19 +15,19 @@ use crate::study::Study;
 use maud::{Markup, PreEscaped, html};
 use std::collections::BTreeMap;
 
-/// Defects that are listed.
+/// Maximum number of listed defects.
 const LISTED: usize = 40;
 
-/// Kinds of the sets of a campaign, by their numbers.
+/// Maps set numbers to the kinds of the sets of a campaign.
 pub fn kinds(all: &Observations) -> BTreeMap<u32, Kind> {
     all.set_numbers.iter().copied().zip(all.kinds.iter().copied()).collect()
 }
 
-/// The page.
+/// Renders the page.
 pub fn html(s: &Study, kinds: &BTreeMap<u32, Kind>) -> String {
     let j = &s.judgement;
     let json = serde_json::to_string(&s.numbers()).unwrap_or_default();
-    // No name can end the element that holds it, or begin a comment in it.
+    // Escape `<`: a name must not close the script element or open a comment in it.
     let json = json.replace('<', "\\u003c");
     let body = html! {
         p.sub { (title(s)) }
@@ -123,7 +123,7 @@ fn sections(s: &Study) -> Vec<(&'static str, &'static str)> {
     all.into_iter().filter(|a| a.0).map(|(_, id, name)| (id, name)).collect()
 }
 
-/// The numbers that most people look for.
+/// Renders cards with the most wanted numbers.
 fn cards(s: &Study) -> Markup {
     html! {
         div.cards {
@@ -136,7 +136,7 @@ fn cards(s: &Study) -> Markup {
     }
 }
 
-/// What deviates under the model as given, worst first.
+/// Lists the deviations from the model as given, worst first.
 fn deviations(c: &Comparison) -> Markup {
     let all = signatures(&c.residuals);
     html! {
@@ -147,7 +147,7 @@ fn deviations(c: &Comparison) -> Markup {
     }
 }
 
-/// Correlations with the neighbours on one side; the other side is the same by symmetry.
+/// Renders correlations with the neighbours on one side; the other side is equal by symmetry.
 fn neighbours(s: &Study) -> Markup {
     let at = |dy: i32, dx: i32| {
         let same = |l: (i32, i32)| l == (dy, dx) || l == (-dy, -dx);

@@ -1,4 +1,4 @@
-//! Plots as SVG: axes, points with error bars, lines and bands, each point with its numbers as a tooltip.
+//! Plots as SVG: axes, points with error bars, lines and bands. Each point has a tooltip with its numbers.
 
 use maud::{Markup, html};
 
@@ -28,7 +28,7 @@ pub struct Mark {
     pub title: String,
 }
 
-/// The range of some values with a little room, never empty.
+/// Returns the range of the values with a small margin. The range is never empty.
 pub fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (min, max) = values
         .filter(|v| v.is_finite())
@@ -40,7 +40,7 @@ pub fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (min - room, max + room)
 }
 
-/// Round numbers within a range, about `count` of them.
+/// Returns about `count` round numbers within a range.
 pub fn ticks((min, max): (f64, f64), count: f64) -> Vec<f64> {
     let raw = (max - min) / count;
     if !(raw.is_finite() && raw > 0.0) {
@@ -52,7 +52,7 @@ pub fn ticks((min, max): (f64, f64), count: f64) -> Vec<f64> {
     (0..100).map(|i| (first + f64::from(i)) * step).take_while(|t| *t <= max + 1e-9 * step).collect()
 }
 
-/// A tick's number without rubbish digits.
+/// Formats a tick without rounding noise.
 fn label(tick: f64) -> String {
     let rounded = (tick * 1e9).round() / 1e9;
     if rounded != 0.0 && (rounded.abs() >= 1e5 || rounded.abs() < 1e-3) {
@@ -74,7 +74,7 @@ impl Panel {
         top + height * (1.0 - (y - self.y.0) / (self.y.1 - self.y.0))
     }
 
-    /// Frame, ticks and titles; `numbers` below the axis only where wanted.
+    /// Renders frame, ticks and titles; prints numbers below the axis if `numbers` is set.
     pub fn axes(&self, x_title: &str, y_title: &str, numbers: bool) -> Markup {
         let [left, top, width, height] = self.frame;
         let (right, bottom) = (left + width, top + height);
@@ -97,7 +97,7 @@ impl Panel {
         }
     }
 
-    /// A straight piece in data coordinates.
+    /// Renders a straight segment in data coordinates.
     pub fn line(&self, from: (f64, f64), to: (f64, f64), colour: &str) -> Markup {
         html! {
             line x1=(self.px(from.0)) y1=(self.py(from.1)) x2=(self.px(to.0)) y2=(self.py(to.1))
@@ -105,14 +105,14 @@ impl Panel {
         }
     }
 
-    /// A curve through points in data coordinates.
+    /// Renders a curve through points in data coordinates.
     pub fn curve(&self, points: &[(f64, f64)], colour: &str) -> Markup {
         let path: Vec<String> =
             points.iter().map(|&(x, y)| format!("{:.1},{:.1}", self.px(x), self.py(y))).collect();
         html! { polyline points=(path.join(" ")) fill="none" stroke=(colour) stroke-width="1.8" {} }
     }
 
-    /// A horizontal band.
+    /// Renders a horizontal band.
     pub fn band(&self, low: f64, high: f64) -> Markup {
         let [left, _, width, _] = self.frame;
         html! {
@@ -121,12 +121,12 @@ impl Panel {
         }
     }
 
-    /// Points with error bars.
+    /// Renders points with error bars.
     pub fn marks(&self, marks: &[Mark]) -> Markup {
         self.coloured(marks, "var(--data)")
     }
 
-    /// Points with error bars in a colour.
+    /// Renders points with error bars in a colour.
     pub fn coloured(&self, marks: &[Mark], colour: &str) -> Markup {
         html! {
             @for m in marks.iter().filter(|m| m.x.is_finite() && m.y.is_finite()) {
@@ -145,7 +145,7 @@ impl Panel {
     }
 }
 
-/// A whole picture.
+/// Renders a whole picture.
 pub fn picture(width: f64, height: f64, label: &str, body: Markup) -> Markup {
     html! {
         svg xmlns="http://www.w3.org/2000/svg" viewBox={ "0 0 " (width) " " (height) } role="img"

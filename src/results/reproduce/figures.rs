@@ -1,4 +1,4 @@
-//! What the paper's four figures show.
+//! Data of the paper's four figures.
 
 use super::{ReproduceError, Setup};
 use crate::bench::BenchState;
@@ -14,12 +14,12 @@ use crate::statistics::median::median_of;
 use ndarray::Array2;
 use radcam_sim::Scene;
 
-/// Light of the seven levels of Fig. 3: 20-fold.
+/// Relative light of the seven levels of Fig. 3: a 20-fold range.
 const LEVELS: [f64; 7] = [0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0];
-/// Squares of the chart in Fig. 3.
+/// Squares of the chart used in Fig. 3.
 const SQUARES: [usize; 4] = [0, 1, 2, 4];
 
-/// Everything for the page.
+/// Data of all four figures.
 #[derive(Debug, Clone)]
 pub struct Figures {
     /// Fig. 1.
@@ -32,14 +32,14 @@ pub struct Figures {
     pub budget: Vec<budget::Level>,
 }
 
-/// Fig. 1: one pixel over its window's mean, a configuration each.
+/// Fig. 1: values of one pixel against its window mean, one point per configuration.
 #[derive(Debug, Clone)]
 pub struct Slopes {
     /// Row and column.
     pub at: (usize, usize),
     /// (mean of the window, value of the pixel, kept), DN.
     pub points: Vec<(f64, f64, bool)>,
-    /// K there.
+    /// K of that pixel.
     pub k: f64,
 }
 
@@ -55,7 +55,7 @@ pub struct Surface {
 }
 
 impl Slopes {
-    /// The pixel with the clearest outlier.
+    /// Selects the pixel with the clearest outlier.
     pub(super) fn of(images: &[Array2<f32>], pattern: &FixedPattern, options: Options) -> Self {
         let light: Vec<_> =
             images.iter().map(|e| crate::calibrate::window::mean(e.view(), options.window)).collect();
@@ -81,7 +81,8 @@ impl Slopes {
     }
 }
 
-/// Fig. 3: V_s of each square at each level from one image, the parabolas, and their chi-square over its degrees of freedom.
+/// Computes Fig. 3: V_s of each square at each level from one image, the parabolas, and their chi-square per
+/// degree of freedom.
 pub(super) fn surfaces(
     setup: &mut Setup,
     dark: DarkReference,
@@ -151,7 +152,7 @@ pub(super) fn surfaces(
 }
 
 impl Figures {
-    /// Largest mean and largest scene variance of Fig. 3.
+    /// Returns the largest mean and the largest scene variance of Fig. 3.
     pub fn reach(&self) -> (f64, f64) {
         let all = self.surfaces.iter().flat_map(|s| &s.points);
         all.fold((0.0, 0.0), |(x, y), p| (f64::max(x, p.0), f64::max(y, p.1)))

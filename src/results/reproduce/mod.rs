@@ -1,9 +1,10 @@
-//! Section VII of the paper, run again on a simulated XC-77: every number beside the paper's, and its four figures.
+//! Reproduction of Section VII of the paper on a simulated XC-77: every number beside the paper's, and the
+//! four figures.
 //!
-//! The camera is `sim/src/sensors/xc77.toml`, whose parameters are the paper's results; what is tested here is whether the
-//! procedures find them again from as many frames as the paper took, and whether the numbers that follow from them
-//! (n1, n2, chi-square, the share of pixels that correction moves) come out. What depends on the paper's own card or
-//! sensor and is not in the paper is said in a row's note.
+//! The camera is `sim/src/sensors/xc77.toml`, whose parameters are the paper's results. The test has two
+//! parts: the procedures must recover the parameters from as many frames as the paper took, and the derived
+//! numbers (n1, n2, chi-square, the share of pixels that correction moves) must match. A row's note marks
+//! what depends on the paper's own card or sensor and is not in the paper.
 
 mod figures;
 
@@ -30,13 +31,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// A video frame, s.
+/// Duration of a video frame, s.
 const FRAME_S: f64 = 1.0 / 30.0;
-/// Configurations and frames that the paper took.
+/// Number of configurations and frames in the paper.
 const TAKEN: (u32, u32) = (20, 20);
-/// Light of the six pairs.
+/// Relative light of the six pairs.
 const PAIRS: [f64; 6] = [0.03, 0.15, 0.35, 0.55, 0.75, 0.98];
-/// Grain of the card. The paper does not tell it; with this one its procedure asks for the paper's n1.
+/// Grain of the card. The paper does not state it; with this value the paper's procedure requires the paper's
+/// n1.
 const CARD: Texture = Texture {
     grain: 0.0014,
     grain_length_px: 0.5,
@@ -50,56 +52,56 @@ const CARD: Texture = Texture {
 /// One number of the paper beside ours.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// What it is, with its unit.
+    /// Name of the quantity, with its unit.
     pub quantity: String,
-    /// The paper's.
+    /// The paper's value.
     pub paper: f64,
-    /// Ours: the mean over the seeds.
+    /// Our value: the mean over the seeds.
     pub ours: f64,
-    /// How one experiment such as the paper's scatters (and the error of our mean).
+    /// Standard deviation of one experiment such as the paper's, combined with the error of our mean.
     pub std_err: f64,
-    /// Whether the paper's number lies within three of these errors, and half a unit of its last digit; null where a simulation
-    /// cannot confirm the number, and `note` says why.
+    /// True if the paper's value is within three standard errors plus half a unit of its last digit. Null if
+    /// a simulation cannot confirm the value; `note` gives the reason.
     pub agrees: Option<bool>,
-    /// What the number does not show.
+    /// Remark on the limits of the number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
 
-/// The whole answer.
+/// Complete result of the reproduction.
 #[derive(Debug, Clone, Serialize)]
 pub struct Reproduction {
-    /// Every number.
+    /// All numbers.
     pub rows: Vec<Row>,
-    /// Cameras and cards drawn.
+    /// Number of simulated cameras and cards.
     pub seeds: u64,
-    /// What the figures show, from the first seed.
+    /// Data of the figures, from the first seed.
     #[serde(skip)]
     pub figures: Figures,
 }
 
-/// Why it could not be run.
+/// Reason why the reproduction failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReproduceError {
-    /// The sensor file.
+    /// Error in the sensor file.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The camera.
+    /// Camera error.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The line.
+    /// Error of the photon-transfer line.
     #[error(transparent)]
     Noise(#[from] NoiseError),
-    /// The calibration.
+    /// Calibration error.
     #[error("{0}")]
     Calibration(String),
-    /// The user asked for the end.
+    /// Interrupted by the user.
     #[error("interrupted")]
     Interrupted,
 }
 
-/// What one camera gave.
+/// Result of one simulated camera.
 struct Experiment {
     gain: f64,
     constant: f64,
@@ -136,7 +138,7 @@ impl Setup {
         Ok(Self { camera, bench })
     }
 
-    /// Frames one by one into `take`.
+    /// Passes `count` frames to `take`, one by one.
     fn frames(
         &mut self,
         state: BenchState,
@@ -163,11 +165,11 @@ impl Setup {
     }
 }
 
-/// Runs Section VII on `seeds` cameras. `progress` is told (cameras done, cameras).
+/// Runs Section VII on `seeds` cameras. `progress` receives (cameras done, cameras).
 ///
 /// # Errors
 ///
-/// Where a sensor file is wrong, or that it was stopped.
+/// A sensor file is invalid, or the run was stopped.
 pub fn run(
     seeds: u64,
     stop: &AtomicBool,
@@ -202,7 +204,7 @@ fn experiment(seed: u64) -> Result<(Experiment, Figures), ReproduceError> {
     let fitted = fitted.ok_or_else(|| ReproduceError::Calibration("the six pairs give no line".into()))?;
     let (gain, constant) = (fitted.gain_dn_per_e.value, fitted.constant_noise_var_dn2.value);
 
-    // Dark reference and K, Section V with the paper's 20 and 20.
+    // Dark reference and K (Section V) with the paper's 20 configurations and 20 frames.
     let full = setup.camera.sensor().region();
     setup.camera.set_region(full)?;
     let darks = setup.average(BenchState::default(), TAKEN.1)?;
@@ -219,7 +221,7 @@ fn experiment(seed: u64) -> Result<(Experiment, Figures), ReproduceError> {
     let worst = f64::from(smallest) / f64::from(TAKEN.0);
     let (dark_mean, dark_sd) = mean_sd(dark_dn.iter().map(|&d| f64::from(d)));
     let (_, k_sd) = mean_sd(pattern.k.iter().map(|&k| f64::from(k)));
-    // An image of maximum intensity, its dark reference taken off.
+    // Image of maximum intensity minus its dark reference.
     let moved = Zip::from(&pattern.k)
         .and(&dark_dn)
         .map_collect(|&k, &d| ((255.0 - f64::from(d)) * (1.0 / f64::from(k) - 1.0)).abs());
@@ -271,7 +273,7 @@ fn experiment(seed: u64) -> Result<(Experiment, Figures), ReproduceError> {
     Ok((experiment, Figures { slopes, line, surfaces, budget: levels }))
 }
 
-/// Section VII.A: six pairs of 100 x 100 pixels.
+/// Runs Section VII.A: six pairs of 100 x 100 pixels.
 fn noise_line(setup: &mut Setup) -> Result<NoiseReport, ReproduceError> {
     setup.camera.set_region(Region { x: 270, y: 190, width: 100, height: 100 })?;
     let mut points = Vec::new();
@@ -314,7 +316,7 @@ fn mean_sd(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (about.unwrap_or(f64::NAN) + mean, (square / n - mean * mean).max(0.0).sqrt())
 }
 
-/// A number that the simulation was given, or cannot know.
+/// Marks a number as an input of the simulation, or as unknown to it.
 fn unconfirmed(row: Row) -> Row {
     Row { agrees: None, ..row }
 }
@@ -323,7 +325,7 @@ fn rows(all: &[Experiment]) -> Vec<Row> {
     let n = all.len() as f64;
     let over = |of: &dyn Fn(&Experiment) -> f64| {
         let (mean, sd) = mean_sd(all.iter().map(of));
-        // Of one more experiment about a mean of n.
+        // Prediction error of one further experiment about a mean of n.
         (mean, sd * (n / (n - 1.0) * (1.0 + 1.0 / n)).sqrt())
     };
     let row = |quantity: &str, paper: f64, digit: f64, of: &dyn Fn(&Experiment) -> f64, note: &str| {

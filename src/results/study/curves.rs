@@ -1,4 +1,5 @@
-//! Curves of the camera: photon transfer, linearity, signal-to-noise ratio, dark current, spectra, codes, histograms, variance budget.
+//! Curves of the camera: photon transfer, linearity, signal-to-noise ratio, dark current, spectra, codes,
+//! histograms, variance budget.
 
 use super::{Images, Judgement, Map, of_statistic};
 use crate::calibrate::file::Calibration;
@@ -16,7 +17,7 @@ fn plot(id: &'static str, title: &'static str, x: Axis, y: Axis, series: Vec<Ser
     Plot { id: id.into(), title: title.into(), x, y, series, y_range: None }
 }
 
-/// Every plot that the campaign allows.
+/// Returns all plots that the campaign allows.
 pub fn plots(
     all: &Observations,
     j: &Judgement,
@@ -99,7 +100,7 @@ fn photon_transfer(n: &NoiseReport) -> Vec<Plot> {
 
 fn snr(n: &NoiseReport) -> Option<Plot> {
     let a = n.gain_dn_per_e.value;
-    // Beyond the last level on the line the range has ended, and with it the noise.
+    // Above the last level on the line the signal is clipped, and so is the noise.
     let top = n.levels.iter().filter(|l| l.used).map(|l| l.mean_dn).fold(0.0, f64::max);
     let measured: Vec<[f64; 3]> = n
         .levels
@@ -129,13 +130,15 @@ fn snr(n: &NoiseReport) -> Option<Plot> {
     ))
 }
 
-/// Means of the flats against exposure times light, and their relative distance from the line through the origin.
+/// Plots the means of the flats against exposure times light, and their relative deviation from the line
+/// through the origin.
 fn linearity(all: &Observations, j: &Judgement) -> Vec<Plot> {
     if all.means_given {
         return Vec::new();
     }
     let Some(first) = j.comparisons.first() else { return Vec::new() };
-    // What the dark of the same exposure has above the black level is no answer to light (EMVA 1288 release 4.0 Linear, section 6.4).
+    // The dark signal of the same exposure is not a response to light and is subtracted (EMVA 1288 release
+    // 4.0 Linear, section 6.4).
     let dark_dn_per_s = j.fitted.as_ref().map_or(0.0, |f| f.base.gain_dn_per_e * f.base.dark_e_per_s);
     let setting = |set: u32| {
         let place = all.set_numbers.iter().position(|n| *n == set)?;
@@ -151,8 +154,8 @@ fn linearity(all: &Observations, j: &Judgement) -> Vec<Plot> {
     if points.len() < 3 {
         return Vec::new();
     }
-    // From 5 to 95 % of the range, every relative deviation alike, as EMVA 1288 fits (release 4.0 Linear, section 6.7); where the range ends is
-    // not known here: 95 % of the brightest level.
+    // Fit range 5 to 95 %, relative deviations weighted equally, as in EMVA 1288 (release 4.0 Linear, section
+    // 6.7). Saturation is not known here, so 95 % refers to the brightest level.
     let top = points.iter().map(|p| p[1]).fold(0.0, f64::max);
     let fitted: Vec<&[f64; 3]> =
         points.iter().filter(|p| (0.05 * top..=0.95 * top).contains(&p[1])).collect();
@@ -184,7 +187,7 @@ fn linearity(all: &Observations, j: &Judgement) -> Vec<Plot> {
     ]
 }
 
-/// Means of the darks against exposure.
+/// Plots the means of the darks against exposure.
 fn dark_current(all: &Observations, j: &Judgement) -> Option<Plot> {
     let (first, f) = (j.comparisons.first()?, j.fitted.as_ref()?);
     let exposure = |set: u32| {
@@ -214,7 +217,7 @@ fn dark_current(all: &Observations, j: &Judgement) -> Option<Plot> {
     ))
 }
 
-/// Noise that rows and columns share.
+/// Plots the noise common to rows and to columns.
 fn lines(j: &Judgement) -> Option<Plot> {
     let first = j.comparisons.first()?;
     let of = |name: &str| -> Vec<[f64; 3]> {
@@ -229,11 +232,12 @@ fn lines(j: &Judgement) -> Option<Plot> {
     (!all.is_empty()).then(|| plot("line-noise", "Noise that rows and columns share", axis(SIGNAL), y, all))
 }
 
-/// Amplitude spectrum of one dark frame's temporal noise, along rows and along columns.
+/// Plots the amplitude spectrum of one dark frame's temporal noise, along rows and along columns.
 fn spectrum(noise: &Array2<f64>) -> Plot {
     let of = |image: &Array2<f64>| -> Vec<[f64; 3]> {
         let (lines, length) = image.dim();
-        // The mean of as many squares of normal numbers as there are lines.
+        // Mean over the lines of the squared amplitudes: relative error 1 / sqrt(lines), half of it for the
+        // root.
         let error = 0.5 / (lines as f64).sqrt();
         let all = power(image).into_iter().enumerate().skip(1);
         all.map(|(k, p)| [k as f64 / length as f64, p.sqrt(), error * p.sqrt()]).collect()
@@ -250,9 +254,9 @@ fn spectrum(noise: &Array2<f64>) -> Plot {
     )
 }
 
-/// Codes on either side of the most frequent one that are shown one by one.
+/// Codes shown individually on either side of the central code.
 const NEAR: usize = 48;
-/// Points of a histogram of all codes, at most.
+/// Maximum points of a histogram of all codes.
 const POINTS: usize = 512;
 
 fn occupancy(codes: &[u64]) -> Vec<Plot> {
@@ -261,7 +265,7 @@ fn occupancy(codes: &[u64]) -> Vec<Plot> {
     let all = codes[..=last].chunks(step).enumerate();
     let all: Vec<[f64; 3]> =
         all.map(|(k, n)| [(k * step) as f64, n.iter().sum::<u64>() as f64 / step as f64, f64::NAN]).collect();
-    // Around the code in the middle of what is filled: single codes are seen there.
+    // Single codes are shown around the median code.
     let filled: u64 = codes.iter().sum();
     let mut sum = 0;
     let middle = codes.iter().position(|n| {
@@ -290,7 +294,7 @@ fn occupancy(codes: &[u64]) -> Vec<Plot> {
     ]
 }
 
-/// Parts of the variance of an uncorrected image against the mean.
+/// Plots the parts of the variance of an uncorrected image against the mean.
 fn budget(n: &NoiseReport, images: &Images, calibration: Option<&Calibration>) -> Option<Plot> {
     let end = n.levels.iter().map(|l| l.mean_dn).reduce(f64::max).filter(|m| *m > 10.0)?;
     let curve = |f: &dyn Fn(f64) -> f64| -> Vec<[f64; 3]> {
@@ -327,15 +331,15 @@ fn budget(n: &NoiseReport, images: &Images, calibration: Option<&Calibration>) -
     ))
 }
 
-/// Spreads on either side of the median that a histogram shows.
+/// Half range of a histogram about the median, in spreads.
 const REACH: f64 = 10.0;
-/// Bins of a histogram.
+/// Number of bins of a histogram.
 const BINS: usize = 128;
 
 fn histogram(id: &'static str, title: &'static str, map: &Map) -> Plot {
     let sound = || map.values.iter().map(|v| f64::from(*v)).filter(|v| v.is_finite());
     let (least, most) = sound().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
-    // A hot pixel must not press all others into one bin.
+    // Limit the range: a hot pixel must not press all others into one bin.
     let middle = median(sound());
     let reach = if map.spread > 0.0 { REACH * map.spread } else { f64::INFINITY };
     let (low, high) = (least.max(middle - reach), most.min(middle + reach));

@@ -1,4 +1,4 @@
-//! What a model says of every statistic against what was measured, as curves over the level.
+//! Measured and predicted statistics as curves over the level.
 
 use super::Judgement;
 use crate::dataset::Kind;
@@ -9,22 +9,22 @@ use crate::observables::{Observations, covariance, variance};
 use crate::plot::{Plot, Shape, axis, level, series};
 use crate::statistics::covariance::LAGS;
 
-/// One statistic in one set: both halves of its frames together.
+/// One statistic in one set, with both halves of its frames combined.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Level {
     /// Number of the set.
     pub set: u32,
     /// Mean above the black level, DN.
     pub level_dn: f64,
-    /// What was measured.
+    /// Measured value.
     pub measured: f64,
-    /// What the model expects.
+    /// Value predicted by the model.
     pub predicted: f64,
     /// Standard error of the difference.
     pub std_err: f64,
 }
 
-/// Names of the statistics of a comparison in their order.
+/// Returns the names of the statistics of a comparison, in order.
 pub fn statistics(c: &Comparison) -> Vec<&str> {
     let mut names: Vec<&str> = Vec::new();
     for r in &c.residuals {
@@ -35,7 +35,7 @@ pub fn statistics(c: &Comparison) -> Vec<&str> {
     names
 }
 
-/// A statistic in every set, the halves weighted alike, by the level.
+/// Returns a statistic for every set, halves weighted equally, sorted by level.
 pub fn of_statistic(c: &Comparison, name: &str) -> Vec<Level> {
     let mut out: Vec<(Level, f64)> = Vec::new();
     for r in c.residuals.iter().filter(|r| r.observable == name) {
@@ -72,10 +72,11 @@ pub fn of_statistic(c: &Comparison, name: &str) -> Vec<Level> {
     all
 }
 
-/// Sets below which a curve over the level says nothing.
+/// Minimum number of sets for a curve over the level.
 const CURVE: usize = 3;
 
-/// The statistic that decided: of those that deviate most without what was found, the first that is mended with it.
+/// Returns the deciding statistic: the largest deviation from the model as given whose excess falls below
+/// half with the effects found.
 fn deciding(j: &Judgement) -> Option<String> {
     let (first, last) = (j.comparisons.first()?, j.comparisons.last()?);
     let left = signatures(&last.residuals);
@@ -87,21 +88,21 @@ fn deciding(j: &Judgement) -> Option<String> {
     Some(best.name.clone())
 }
 
-/// The deciding statistic as a curve: what was measured, and what the models expect, before and after.
+/// Plots the deciding statistic: measured values, and predictions before and after the effects found.
 ///
-/// Twice: in its unit, which shows how it grows, and in standard errors, which show where it is seen.
+/// There are two plots: in its unit, to show its growth, and in standard errors, to show its significance.
 pub fn decisive(j: &Judgement) -> Vec<Plot> {
     let Some(name) = deciding(j) else { return Vec::new() };
     plot_of(j, &name).into_iter().chain(in_errors(j, &name)).collect()
 }
 
-/// The same as [`plot_of`] over the standard errors.
+/// Like [`plot_of`], in standard errors.
 fn in_errors(j: &Judgement, name: &str) -> Option<Plot> {
     let before = of_statistic(j.comparisons.first()?, name);
     let mut plot = plot_of(j, name)?;
     for s in &mut plot.series {
         for p in &mut s.points {
-            // Sets of one level have errors of one size.
+            // Sets at one level have equal standard errors.
             let std_err = before.iter().find(|l| l.level_dn == p[0]).map_or(1.0, |l| l.std_err);
             (p[1], p[2]) = (p[1] / std_err, p[2] / std_err);
         }
@@ -112,7 +113,8 @@ fn in_errors(j: &Judgement, name: &str) -> Option<Plot> {
     Some(plot)
 }
 
-/// One statistic as a curve: measured and expected with all that was found, both less what the model as given expects.
+/// Plots one statistic: measured values and predictions with all effects found, both minus the prediction of
+/// the model as given.
 pub fn plot_of(j: &Judgement, name: &str) -> Option<Plot> {
     let (first, last) = (j.comparisons.first()?, j.comparisons.last()?);
     let before = of_statistic(first, name);
@@ -148,7 +150,7 @@ pub fn plot_of(j: &Judgement, name: &str) -> Option<Plot> {
     })
 }
 
-/// Every statistic that has a curve.
+/// Plots all statistics that have a curve.
 pub fn every(j: &Judgement) -> Vec<Plot> {
     let Some(first) = j.comparisons.first() else { return Vec::new() };
     let curves = statistics(first).into_iter().filter(|n| of_statistic(first, n).len() >= CURVE);
@@ -160,7 +162,7 @@ fn unit_of(residuals: &[Residual], name: &str) -> String {
     if unit.is_empty() { String::new() } else { format!(" ({})", pretty(unit)) }
 }
 
-/// A name as part of an identifier.
+/// Converts a name to part of an identifier.
 pub fn slug(name: &str) -> String {
     let mut out = String::new();
     for c in name.chars() {
@@ -173,7 +175,8 @@ pub fn slug(name: &str) -> String {
     out.trim_end_matches('-').into()
 }
 
-/// Correlation of a pixel's noise with its neighbours': covariances over variances, mean over the flats weighted by their errors.
+/// Returns the correlation of a pixel's noise with its neighbours: covariance over variance, error-weighted
+/// mean over the flats.
 pub fn neighbours(all: &Observations) -> Vec<((i32, i32), f64, f64)> {
     let of_lag = |index: usize| {
         let (mut sum, mut weight) = (0.0, 0.0);

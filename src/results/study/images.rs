@@ -1,4 +1,4 @@
-//! The dark image and the response of every pixel, as pictures with a scale, and how their values are distributed.
+//! Dark image and response of every pixel, as pictures with a scale, and the distributions of their values.
 
 use crate::calibrate::defects::{BLIND, DEAD, HOT, UNSTABLE};
 use crate::calibrate::file::Calibration;
@@ -9,55 +9,57 @@ use crate::statistics::median::median;
 use ndarray::{Array2, ArrayView2};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// An image with what it is.
+/// Image with its description.
 #[derive(Debug, Clone)]
 pub struct Map {
     /// Title.
     pub title: String,
-    /// Which frames it is made of.
+    /// Description of the source frames.
     pub of: String,
     /// Unit of its values; empty for ratios.
     pub unit: &'static str,
     /// (rows, columns).
     pub values: Array2<f32>,
-    /// Standard deviation over the pixels, from the median absolute deviation: a few outliers do not move it.
+    /// Standard deviation over the pixels, from the median absolute deviation; robust to a few outliers.
     pub spread: f64,
-    /// What the noise of the frames' mean gives of that; NaN of a single frame, which does not tell its noise.
+    /// Part of `spread` caused by the noise of the frames' mean. NaN for a single frame, whose noise is
+    /// unknown.
     pub noise: f64,
-    /// Pixels further than six spreads from the median.
+    /// Number of pixels further than six spreads from the median.
     pub outliers: usize,
 }
 
-/// Spreads from the median beyond which a pixel is counted as an outlier: of normal pixels one in 5e8.
+/// Outlier threshold, spreads from the median. It flags one normal pixel in 5e8.
 const OUTLIER: f64 = 6.0;
 
-/// What was made of the frames.
+/// Images made from the frames.
 #[derive(Debug, Clone, Default)]
 pub struct Images {
     /// Dark image, DN.
     pub dark: Option<Map>,
     /// Response, mean 1.
     pub response: Option<Map>,
-    /// Difference of two successive darks over root 2: one frame's temporal noise, DN.
+    /// Difference of two successive darks over root 2: temporal noise of one frame, DN.
     pub dark_noise: Option<Array2<f64>>,
-    /// How often each code occurs in the first frame of every set.
+    /// Histogram of the codes in the first frame of every set.
     pub codes: Vec<u64>,
-    /// Defects of the calibration: column, row, and what is wrong.
+    /// Defects of the calibration: column, row, and kind.
     pub defects: Vec<(usize, usize, String)>,
 }
 
 impl Map {
     fn new(title: &str, of: String, unit: &'static str, values: Array2<f32>, noise: f64) -> Self {
         let middle = median(values.iter().map(|v| f64::from(*v)));
-        // Of normal values the median of the distances is 0.6745 deviations.
+        // For normal values the median absolute deviation is 0.6745 standard deviations.
         let spread = median(values.iter().map(|v| (f64::from(*v) - middle).abs())) / 0.674_490;
         let far = |v: &&f32| (f64::from(**v) - middle).abs() > OUTLIER * spread;
         let outliers = if spread > 0.0 { values.iter().filter(far).count() } else { 0 };
         Self { title: title.into(), of, unit, values, spread, noise, outliers }
     }
 
-    /// What the pixels differ by beyond the noise of the mean, and its standard error: the relative error of a deviation of n pixels is
-    /// 1 / sqrt(2 n), from the median absolute deviation 1.65 times that (efficiency 0.37: Huber and Ronchetti 2009, table 1.1).
+    /// Returns the nonuniformity beyond the noise of the mean, and its standard error. The relative error of
+    /// the standard deviation of n pixels is 1 / sqrt(2 n); from the median absolute deviation it is 1.65
+    /// times that (efficiency 0.37: Huber and Ronchetti 2009, table 1.1).
     pub fn nonuniformity(&self) -> (f64, f64) {
         let n = self.values.len() as f64;
         if self.noise.is_nan() {
@@ -70,11 +72,11 @@ impl Map {
     }
 }
 
-/// Reads the frames that the maps are made of.
+/// Reads the frames from which the maps are made.
 ///
 /// # Errors
 ///
-/// A frame that cannot be read, or that it was stopped.
+/// A frame cannot be read, or the call was stopped.
 pub fn of(
     dataset: &Dataset,
     calibration: Option<&Calibration>,
@@ -98,7 +100,7 @@ pub fn of(
         progress(k + 1, sets.len());
     }
     let kind = |set: &Set| dataset.settings(set).kind;
-    // Of the darks the shortest, of those with most frames; of the flats the brightest below three quarters of the range.
+    // Dark: the shortest exposure, then most frames. Flat: the brightest below three quarters of the range.
     let darks = sets.iter().filter(|s| kind(s) == Kind::Dark);
     let exposure = |s: &Set| dataset.settings(s).exposure_s;
     let dark = darks.min_by(|a, b| exposure(a).total_cmp(&exposure(b)).then(b.rows.len().cmp(&a.rows.len())));
@@ -143,13 +145,13 @@ pub fn of(
     Ok(out)
 }
 
-/// What a defect's flags say.
+/// Names the kinds of a defect from its flags.
 fn kinds_of(flags: u8) -> String {
     let all = [(HOT, "hot"), (DEAD, "dead"), (UNSTABLE, "unstable"), (BLIND, "blind")];
     all.into_iter().filter(|(f, _)| flags & f != 0).map(|(_, n)| n).collect::<Vec<_>>().join(", ")
 }
 
-/// Mean of a set's frames with the noise that is left in it, DN.
+/// Mean of a set's frames with its remaining noise, DN.
 struct Mean {
     mean: Array2<f32>,
     noise: f64,

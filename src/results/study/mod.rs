@@ -1,4 +1,4 @@
-//! Everything that a report says of a campaign, as data: the report and the workbench only draw it, `radcam report --json` prints it.
+//! Report contents as data. The report and the workbench render it; `radcam report --json` prints it.
 
 mod curves;
 mod evidence;
@@ -23,35 +23,35 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 
-/// How a model stands against a campaign: a comparison alone, or with what was found missing.
+/// Judgement of a model against a campaign: a comparison alone, or a diagnosis with missing effects.
 #[derive(Debug, Clone)]
 pub struct Judgement {
-    /// In one plain sentence or two.
+    /// Summary of one or two plain sentences.
     pub sentence: String,
-    /// Whether the model as given describes the campaign.
+    /// True if the model as given describes the campaign.
     pub consistent: bool,
-    /// What is missing, strongest first; none where nothing was looked for.
+    /// Missing effects, strongest first; empty if no search was made.
     pub missing: Vec<Missing>,
-    /// Law for what has no name.
+    /// Law for an unnamed effect.
     pub proposal: Option<Proposal>,
-    /// The ladder of errors, the model as given first.
+    /// Ladder of errors, the model as given first.
     pub ladder: Vec<Rung>,
-    /// The comparison of the model as given, and of the one with what was found, where there is one.
+    /// Comparison with the model as given, then with the effects found, if any.
     pub comparisons: Vec<Comparison>,
-    /// The last model.
+    /// Last fitted model.
     pub fitted: Option<Fitted>,
-    /// The measurement that would tell candidates apart.
+    /// Measurement that would separate the candidates.
     pub next_measurement: Option<String>,
-    /// Slips in the data.
+    /// Faults of the data.
     pub slips: Vec<DataFault>,
-    /// What could not be looked at, and what is left over.
+    /// Checks that were not possible, and remaining deviations.
     pub notes: Vec<String>,
-    /// Whether effects were looked for.
+    /// True if effects were searched for.
     pub searched: bool,
 }
 
 impl Judgement {
-    /// Of a comparison alone.
+    /// Creates a judgement from a comparison alone.
     pub fn of_comparison(comparison: &Comparison, fitted: &Fitted) -> Self {
         Self {
             sentence: format!(
@@ -71,7 +71,7 @@ impl Judgement {
         }
     }
 
-    /// Of a diagnosis.
+    /// Creates a judgement from a diagnosis.
     pub fn of_diagnosis(d: &Diagnosis) -> Self {
         let (fitted, comparison) = d.described();
         Self {
@@ -89,7 +89,7 @@ impl Judgement {
         }
     }
 
-    /// What the page is headed.
+    /// Returns the heading of the page.
     pub fn heading(&self, verdict: Option<&Verdict>) -> String {
         match verdict {
             Some(Verdict::Named { effect, .. }) => format!("The camera shows {effect}"),
@@ -100,7 +100,7 @@ impl Judgement {
     }
 }
 
-/// A comparison in a sentence.
+/// Describes a comparison in a sentence.
 fn sentence_of(c: &Comparison) -> String {
     let words = c.agreement.words();
     let mut letters = words.chars();
@@ -108,30 +108,30 @@ fn sentence_of(c: &Comparison) -> String {
     format!("{capital}{}: error {:.2} over {} statistics.", letters.as_str(), c.error, c.residuals.len())
 }
 
-/// Everything that a report says.
+/// Contents of a report.
 #[derive(Debug, Clone)]
 pub struct Study {
     /// Title of the page.
     pub heading: String,
-    /// The camera and its settings; none of a table.
+    /// Camera and its settings; none for a table.
     pub camera: Option<CameraInfo>,
-    /// Where the numbers come from.
+    /// Provenance of the numbers.
     pub provenance: Provenance,
-    /// What the model is, in equations.
+    /// Equations of the model.
     pub model: Vec<String>,
-    /// How it stands.
+    /// Judgement of the model.
     pub judgement: Judgement,
-    /// Gain and constant noise, level by level, or why there are none.
+    /// Gain and constant noise, level by level, or the reason why there are none.
     pub noise: Result<NoiseReport, String>,
-    /// Every quantity by its name.
+    /// All quantities, by name.
     pub quantities: BTreeMap<&'static str, Reported>,
-    /// Parameters of the effects that were found or given.
+    /// Parameters of the effects found or given.
     pub parameters: Vec<(String, Vec<(String, crate::number::Quantity)>)>,
     /// Plots of the camera: photon transfer, linearity, and so on.
     pub plots: Vec<Plot>,
-    /// The statistic that decided, before and after.
+    /// Deciding statistic, before and after.
     pub decisive: Vec<Plot>,
-    /// Every statistic against the level.
+    /// All statistics against the level.
     pub statistics: Vec<Plot>,
     /// Correlations of the noise with neighbours: (rows, columns) apart, value and standard error, mean over the flats.
     pub neighbours: Vec<((i32, i32), f64, f64)>,
@@ -139,7 +139,7 @@ pub struct Study {
     pub images: Images,
 }
 
-/// What `radcam report --json` prints, and what the page holds as data.
+/// Output of `radcam report --json`, also embedded in the page.
 #[derive(Debug, Serialize)]
 pub struct Numbers<'a> {
     sentence: &'a str,
@@ -157,12 +157,12 @@ pub struct Numbers<'a> {
 }
 
 impl Study {
-    /// Of what was observed and judged; reads the frames again for images and for the line of gain and noise. `stop` ends it, `progress` is
-    /// told (pieces done, pieces).
+    /// Builds the study from observations and a judgement. Reads the frames again for the images and for the
+    /// line of gain and noise. `stop` cancels; `progress` receives (pieces done, pieces).
     ///
     /// # Errors
     ///
-    /// Where a frame cannot be read, or it was stopped.
+    /// A frame cannot be read, or the call was stopped.
     pub fn of(
         source: &Source,
         all: &Observations,
@@ -204,7 +204,7 @@ impl Study {
         })
     }
 
-    /// The numbers of the page.
+    /// Returns the numbers of the page.
     pub fn numbers(&self) -> Numbers<'_> {
         let j = &self.judgement;
         let error = |c: Option<&Comparison>| c.map_or(f64::NAN, |c| c.error);

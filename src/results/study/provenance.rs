@@ -1,4 +1,4 @@
-//! Where the numbers of a report come from: files and their hash, version, command, date.
+//! Provenance of a report's numbers: files and their hash, version, command, date.
 
 use crate::dataset::{Dataset, DatasetError};
 use crate::source::Source;
@@ -9,31 +9,31 @@ use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// What a report was made of, and by what.
+/// Provenance of a report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Dataset folders, descriptors or tables.
     pub datasets: Vec<String>,
-    /// SHA-256 of the lines that `sha256sum` prints of all their files, the names in the order of bytes.
+    /// SHA-256 of the lines that `sha256sum` prints for all files, names in byte order.
     pub sha256: String,
-    /// Files.
+    /// Number of files.
     pub files: usize,
-    /// Frames.
+    /// Number of frames.
     pub frames: usize,
     /// Version of radcam.
     pub version: String,
-    /// The command.
+    /// Command that made the report.
     pub command: String,
-    /// When, UTC.
+    /// Date and time, UTC.
     pub made: String,
 }
 
 impl Provenance {
-    /// Of what lies at some paths.
+    /// Records the provenance of some paths.
     ///
     /// # Errors
     ///
-    /// A file that cannot be read.
+    /// A file cannot be read.
     pub fn of(paths: &[PathBuf], source: &Source, command: &str) -> Result<Self, DatasetError> {
         let (files, frames) = match source {
             Source::Table(_) => (paths.to_vec(), 0),
@@ -55,7 +55,7 @@ impl Provenance {
     }
 }
 
-/// Files that a dataset consists of: frames, and what says which they are.
+/// Lists the files of a dataset: frames and the files that list them.
 fn files_of(dataset: &Dataset, paths: &[PathBuf]) -> Vec<PathBuf> {
     let mut files: BTreeSet<PathBuf> = BTreeSet::new();
     for path in paths {
@@ -95,7 +95,7 @@ pub(crate) fn hex(bytes: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    /// The value is that of `printf abc | sha256sum` (FIPS 180-4, example B.1).
+    /// Expected value: `printf abc | sha256sum` (FIPS 180-4, example B.1).
     #[test]
     fn hashes_are_those_of_sha256sum() {
         let folder = tempfile::tempdir().unwrap();

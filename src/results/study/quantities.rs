@@ -1,4 +1,4 @@
-//! Every quantity of a report with its unit, its error, and how it was computed.
+//! Quantities of a report with unit, error and method of computation.
 
 use super::{Images, Judgement};
 use crate::calibrate::file::Calibration;
@@ -9,20 +9,20 @@ use crate::observables::Observations;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A quantity and where it comes from.
+/// Quantity with its method.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Reported {
-    /// What it is, in a few words.
+    /// Short name of the quantity.
     #[serde(skip_deserializing, default)]
     pub name: &'static str,
     /// Value, standard error, unit.
     #[serde(flatten)]
     pub quantity: Quantity,
-    /// How it was computed.
+    /// Method of computation.
     pub how: String,
 }
 
-/// The model in equations: the paper's, and one line for every effect.
+/// Returns the model in equations: the paper's, and one line for every effect.
 pub fn model(fitted: Option<&Fitted>) -> Vec<String> {
     let mut out = vec![
         "mean: μ = A (K I + E_DC) + offset, I = light · exposure (Healey and Kondepudy 1994, eq. 6)"
@@ -35,7 +35,7 @@ pub fn model(fitted: Option<&Fitted>) -> Vec<String> {
     out
 }
 
-/// Parameters of the effects of the last model.
+/// Returns the parameters of the effects of the last model.
 pub fn parameters(j: &Judgement) -> Vec<(String, Vec<(String, Quantity)>)> {
     let found: Vec<_> = j
         .missing
@@ -58,7 +58,7 @@ pub fn parameters(j: &Judgement) -> Vec<(String, Vec<(String, Quantity)>)> {
         .collect()
 }
 
-/// Every quantity by its name in the JSON.
+/// Returns all quantities by their JSON name.
 pub fn all(
     all: &Observations,
     j: &Judgement,
@@ -143,7 +143,7 @@ pub fn all(
         let n = c.residuals.len();
         let how =
             format!("RMS of {n} standardised residuals on frames that the fit did not see; 1 is agreement");
-        // Of n normal numbers the root of the mean square has the relative error 1 / sqrt(2 n).
+        // Relative error of the RMS of n normal numbers: 1 / sqrt(2 n).
         put(id, name, Quantity::new(c.error, c.error / (2.0 * n as f64).sqrt(), "1"), how);
     }
     let sets = all.campaign.sets.len() as f64;

@@ -1,18 +1,18 @@
-//! Files in a camera, by the features of SFNC 2.7, chapter File Access Control.
+//! Files in a camera, accessed by the features of SFNC 2.7, chapter File Access Control.
 
 use radcam_aravis::{Camera, Error};
 use std::time::{Duration, Instant};
 
-/// Longest wait for one operation: cameras write their flash memory.
+/// Timeout of one operation: cameras write their flash memory.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Time between two looks whether an operation is done.
+/// Polling interval while an operation runs.
 const LOOK: Duration = Duration::from_micros(100);
 
 fn fault(feature: &str, message: impl ToString) -> Error {
     Error { what: feature.into(), message: message.to_string() }
 }
 
-/// Entries of `FileSelector`.
+/// Returns the entries of `FileSelector`, or none if file access is incomplete.
 pub fn names(camera: &Camera) -> Vec<String> {
     let complete = ["FileOperationSelector", "FileOpenMode", "FileAccessOffset", "FileAccessLength"];
     if !complete.iter().all(|f| camera.has(f)) || camera.register("FileAccessBuffer").is_err() {
@@ -21,11 +21,11 @@ pub fn names(camera: &Camera) -> Vec<String> {
     camera.entries("FileSelector").unwrap_or_default()
 }
 
-/// A file that is open in the camera; it is closed when dropped.
+/// File that is open in the camera; closed on drop.
 struct File<'a> {
     camera: &'a Camera,
     name: &'a str,
-    /// Address and bytes of the buffer.
+    /// Address and size, bytes, of the buffer.
     buffer: (u64, usize),
     open: bool,
 }
@@ -50,7 +50,7 @@ impl<'a> File<'a> {
         self.camera.set_string("FileOperationSelector", operation)
     }
 
-    /// Bytes that the operation did.
+    /// Executes the selected operation and returns the number of bytes processed.
     fn execute(&self) -> Result<usize, Error> {
         let command = "FileOperationExecute";
         self.camera.execute(command)?;
@@ -70,7 +70,7 @@ impl<'a> File<'a> {
         Ok(usize::try_from(done).unwrap_or(0))
     }
 
-    /// The next part, from this place in the file.
+    /// Selects the next part of the file, by offset and length in bytes.
     fn part(&self, at: usize, bytes: usize) -> Result<(), Error> {
         self.camera.set_integer("FileAccessOffset", i64::try_from(at).map_err(|e| fault("FileAccessOffset", e))?)?;
         self.camera.set_integer("FileAccessLength", i64::try_from(bytes).map_err(|e| fault("FileAccessLength", e))?)
@@ -85,14 +85,14 @@ impl<'a> File<'a> {
 
 impl Drop for File<'_> {
     fn drop(&mut self) {
-        // A file that is left open would keep cameras from starting an acquisition.
+        // A file left open would keep cameras from starting an acquisition.
         if self.open && let Err(e) = self.select("Close").and_then(|()| self.execute()) {
             tracing::warn!(file = self.name, error = %e, "could not be closed");
         }
     }
 }
 
-/// GVCP and USB3 Vision move whole words.
+/// Transfer unit, bytes: GVCP and USB3 Vision transfer whole words.
 const WORD: usize = 4;
 
 pub fn write(camera: &Camera, name: &str, bytes: &[u8], go_on: &mut dyn FnMut(usize) -> bool) -> Result<(), Error> {

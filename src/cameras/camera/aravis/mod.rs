@@ -14,35 +14,35 @@ use crate::pixel_format::PixelFormat;
 use radcam_aravis::{self as arv, DeviceInfo, Feature, FeatureKind, StreamSetup};
 use std::collections::BTreeMap;
 
-/// A camera that speaks GenICam.
+/// GenICam camera.
 #[derive(Debug)]
 pub struct AravisCamera {
     inner: arv::Camera,
     identity: Identity,
     capabilities: Capabilities,
     trigger: Trigger,
-    /// Everything that its description lists.
+    /// All features that the camera description lists, and known ones outside the list.
     tree: Vec<Feature>,
     exposure: ExposureFeature,
-    /// Gain in dB.
+    /// Name of the gain feature in dB.
     gain: Option<&'static str>,
-    /// GigE Vision on this machine's own loopback, where packets may be as large as its MTU.
+    /// True for GigE Vision over the loopback of this machine, where packets may be as large as its MTU.
     loopback: bool,
 }
 
-/// How the exposure is set.
+/// Feature that sets the exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum ExposureFeature {
-    /// In microseconds, by the name that Aravis finds.
+    /// Exposure in microseconds, under the name that Aravis finds.
     Time,
-    /// `ExposureTimeRaw` in steps of so many microseconds.
+    /// `ExposureTimeRaw` in steps of `step_us` microseconds.
     Raw { step_us: f64 },
 }
 
-/// Largest GVSP packet that the loopback's MTU of 65536 bytes passes whole.
+/// Maximum GVSP packet size, bytes, that passes the loopback's MTU of 65536 bytes unfragmented.
 const LOOPBACK_PACKET: u32 = 65_000;
 
-/// Real cameras.
+/// Backend for real cameras.
 pub const BACKEND: Backend = Backend {
     name: "aravis",
     takes: "ID (an IP address, an Aravis id or a serial number)",
@@ -50,7 +50,7 @@ pub const BACKEND: Backend = Backend {
     list,
 };
 
-/// Every camera on networks and USB. Takes about a second.
+/// Lists every camera on networks and USB. Takes about a second.
 fn list() -> Vec<Listed> {
     let of = |d: DeviceInfo| Listed {
         camera: format!("aravis:{}", if d.protocol.starts_with("GigE") { d.address } else { d.id }),
@@ -67,11 +67,12 @@ impl AravisCamera {
     ///
     /// # Errors
     ///
-    /// [`CameraError::Absent`] where no such camera answers, with those that do; what it refuses while it is set up.
+    /// [`CameraError::Absent`] if no such camera answers (it lists those that do), or if the camera refuses
+    /// the setup.
     pub fn open(name: &str) -> Result<Self, CameraError> {
         let id = format!("aravis:{name}");
         let absent = |message: String| CameraError::Absent { camera: id.clone(), message };
-        // An address needs no search, and is right where several interfaces exist.
+        // An IP address needs no discovery, and works with several network interfaces.
         let direct = name.parse::<std::net::IpAddr>().is_ok();
         let mut address = name.to_string();
         if !direct {
@@ -95,7 +96,7 @@ impl AravisCamera {
                            within some seconds";
             return Err(absent(message.into()));
         }
-        // What a program that was killed left running would go on under settings that change.
+        // A killed program may have left an acquisition running, which would go on under changing settings.
         if let Err(e) = inner.stop_acquisition() {
             tracing::debug!(error = %e, "AcquisitionStop at the start");
         }
@@ -141,7 +142,7 @@ impl AravisCamera {
         }
     }
 
-    /// The value at which a feature leaves the image alone, where it has one.
+    /// Returns the value at which a feature does not affect the image, if there is one.
     fn neutral(&self, feature: &Feature, neutral: Neutral) -> Option<Value> {
         let kind = match feature.kind {
             FeatureKind::Boolean => Kind::Boolean,
@@ -155,7 +156,7 @@ impl AravisCamera {
         neutral_value(neutral, kind, &entries)
     }
 
-    /// Brings a feature to a value and tells what became of it.
+    /// Sets a feature to a value and returns the result.
     fn neutralise(&self, name: &str, shown: String, kind: FeatureKind, to: &Value) -> Option<Automatic> {
         let before = self.read(name, kind)?;
         let set = match to {
@@ -176,8 +177,8 @@ impl AravisCamera {
         Some(Automatic { feature: shown, before: before.to_string(), now, off })
     }
 
-    /// Does something with a feature under every entry of its selector, and leaves the selector as it was. `act` is told the entry where
-    /// there are several.
+    /// Runs `act` on a feature under every entry of its selector, then restores the selector. `act` receives
+    /// the entry if there are several.
     fn under_selector(&self, name: &str, mut act: impl FnMut(Option<&str>)) {
         let selector = self.selector_of(name);
         let entries =
@@ -197,7 +198,8 @@ impl AravisCamera {
         }
     }
 
-    /// The selector of a feature: the one that says so, or in older descriptions, which do not, the one with its name.
+    /// Returns the selector of a feature: the one that declares it, or in older descriptions, which declare
+    /// nothing, the one named after it.
     fn selector_of(&self, name: &str) -> Option<&str> {
         let says = |f: &&Feature| f.selected.iter().any(|s| s == name);
         let named = |f: &&Feature| {
@@ -220,24 +222,24 @@ impl AravisCamera {
         .map_err(|e| self.refused(e))
     }
 
-    /// A float, or an integer taken for one.
+    /// Reads a float, or an integer as a float.
     fn number(&self, name: &str) -> Option<f64> {
         self.inner.float(name).ok().or_else(|| self.inner.integer(name).ok().map(|i| i as f64))
     }
 
-    /// Sets a float, or the nearest value of an integer.
+    /// Sets a float, or an integer to the nearest value.
     fn set_number(&self, name: &str, value: f64) -> Result<(), arv::Error> {
         let set = self.inner.set_float(name, value);
         set.or_else(|first| self.inner.set_integer(name, value.round() as i64).map_err(|_| first))
     }
 }
 
-/// Whether a float feature is there and in this unit.
+/// Returns true if a float feature exists and has this unit.
 fn in_unit(inner: &arv::Camera, feature: &str, unit: &str) -> bool {
     inner.has(feature) && inner.unit(feature).is_some_and(|u| u.trim().eq_ignore_ascii_case(unit))
 }
 
-/// How a camera's exposure is set: older ones count steps of a time base.
+/// Returns the feature that sets the exposure. Older cameras count steps of a time base.
 fn exposure_feature(inner: &arv::Camera) -> ExposureFeature {
     let raw = "ExposureTimeRaw";
     if ["ExposureTime", "ExposureTimeAbs"].iter().any(|name| inner.has(name)) || !inner.has(raw) {
@@ -275,10 +277,10 @@ fn capabilities(
             limits.map(|(min, max)| bounds((min.max(1) as f64 * step_s, max as f64 * step_s), Some(step_s)))
         }
     };
-    // Only what is said to be in DN counts as such; makers have units of their own.
+    // Only a black level with unit DN is used; makers have units of their own.
     let black_level_dn =
         in_unit(inner, "BlackLevel", "DN").then(|| inner.float_bounds("BlackLevel").ok()).flatten();
-    // Width and height shrink with the offsets: the whole sensor is what the bounds are about.
+    // The maxima of width and height shrink with the offsets; the bounds must cover the whole sensor.
     let sensor = |name: &str, region: &str| -> Result<Bounds, CameraError> {
         let mut b = pixels(region)?;
         if let Ok(whole) = inner.integer(name) {
@@ -354,7 +356,8 @@ impl Camera for AravisCamera {
         check_bounds(&self.identity.id, "Gain", self.capabilities.gain_db, value, "dB")?;
         let name = self.gain.unwrap_or("Gain");
         let mut set = Ok(());
-        // The gains of all, of the analog and of the digital part multiply; those of taps and colours stand side by side.
+        // Gains of all, of the analog and of the digital part multiply, so only `All` or `AnalogAll` is set
+        // if present. Gains of taps and colours apply side by side.
         let whole = ["All", "AnalogAll"];
         let selector = self.selector_of(name);
         let entries = selector.and_then(|s| self.inner.entries(s).ok()).unwrap_or_default();
@@ -404,12 +407,12 @@ impl Camera for AravisCamera {
         ] {
             check_bounds(&self.identity.id, feature, Some(bounds), value.into(), "px")?;
         }
-        // Aravis does not enforce increments; a camera that does would answer with another region.
+        // Aravis does not enforce increments; a camera that does would report another region.
         let (width, height) = (w.nearest(region.width.into()) as i32, h.nearest(region.height.into()) as i32);
         let on_grid = |v: u32, step: u32| (v / step.max(1) * step.max(1)) as i32;
         let (x, y) = self.capabilities.offset_increment;
         let wanted = [on_grid(region.x, x), on_grid(region.y, y), width, height];
-        // First to the corner: a large offset may stand in the way of a large size, and the other way round.
+        // The offsets go to 0 first: a large offset can block a large size, and vice versa.
         self.inner
             .set_region([0, 0, width, height])
             .and_then(|()| self.inner.set_region(wanted))
@@ -482,7 +485,7 @@ impl Camera for AravisCamera {
         }
         .map_err(|e| self.refused(e))?;
         let same = match (value, &now) {
-            // A float that the camera keeps as an integer comes back rounded.
+            // A float that the camera stores as an integer reads back rounded.
             (Value::Float(a), Value::Float(b)) => {
                 (a - b).abs() <= (1e-3 * a.abs()).max(0.5 * f64::from(b.fract() == 0.0))
             }
@@ -543,7 +546,8 @@ impl Camera for AravisCamera {
         let mut features = BTreeMap::new();
         let kept = |name: &str| {
             let role = role(name);
-            // What the columns and keys of a dataset say stands there.
+            // Not recorded: exposure, pixel format and offsets of the region, and gain and black level that
+            // have dataset keys.
             let said = ["ExposureTime", "ExposureTimeAbs", "PixelFormat", "OffsetX", "OffsetY"]
                 .contains(&name)
                 || self.gain == Some(name)
@@ -551,7 +555,7 @@ impl Camera for AravisCamera {
             let recorded = matches!(role, Some(Role::Setting | Role::Geometry)) || suspicious(name);
             (recorded && !said) || name == "TriggerMode"
         };
-        // What has no neutral value is a setting.
+        // A distorting feature without a neutral value is recorded as a setting.
         let without = |f: &Feature| match role(&f.name) {
             Some(Role::Distorts(neutral, _)) => self.neutral(f, neutral).is_none(),
             _ => false,
@@ -574,9 +578,9 @@ impl Camera for AravisCamera {
         there.map(|f| f.name.clone()).collect()
     }
 
-    /// The served camera has features for it.
+    /// Sets both through features that a served camera has.
     fn draw_from(&mut self, frame: u64, time_s: f64) -> bool {
-        // Its register has 32 bits.
+        // The `BenchFrame` register has 32 bits.
         let number = i64::from(frame as u32);
         self.inner.has("BenchFrame")
             && self.inner.has("BenchTime")
@@ -591,7 +595,8 @@ impl Camera for AravisCamera {
             buffers: options.buffers,
             waiting: options.waiting,
             packet_size: options.packet_size.or(self.loopback.then_some(LOOPBACK_PACKET)),
-            // Of a camera that does not send again there is nothing to wait for: whole frames would queue behind a damaged one.
+            // Without packet resend there is nothing to wait for: complete frames would queue behind a
+            // damaged one.
             packet_resend: options.packet_resend && self.inner.resends(),
             packet_timeout: options.packet_timeout,
             frame_retention: options.frame_retention,
@@ -621,7 +626,8 @@ impl Camera for AravisCamera {
     }
 }
 
-/// Says once where the system grants a smaller socket buffer than asked for: packets are then lost whenever the receiver is late.
+/// Warns once if the system grants a smaller socket buffer than requested: packets are then lost whenever the
+/// receiver is late.
 fn warn_of_a_small_buffer(granted_bytes: usize, wanted_bytes: usize) {
     static SAID: std::sync::Once = std::sync::Once::new();
     if granted_bytes < wanted_bytes {

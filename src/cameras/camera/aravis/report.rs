@@ -1,4 +1,4 @@
-//! What someone needs to help with a camera that he does not have.
+//! Report on a camera, for someone who helps without having that camera.
 
 use super::{AravisCamera, arv};
 use crate::camera::{Camera, CameraError, StreamCounts, StreamOptions};
@@ -8,14 +8,16 @@ use arv::{Feature, FeatureKind};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-/// Bootstrap registers (GigE Vision 2.0, chapter 28): identity and addresses, the places of the description, control, stream channel 0.
+/// Bootstrap registers (GigE Vision 2.0, chapter 28): identity and addresses, locations of the description,
+/// control, stream channel 0.
 const BOOTSTRAP: [(u64, u32); 4] = [(0, 0x200), (0x200, 0x200), (0x900, 0x60), (0xd00, 0x40)];
-/// Frames of a report's look at losses.
+/// Frames that a report takes to measure losses.
 const REPORT_FRAMES: u64 = 30;
 
 impl AravisCamera {
-    /// Everything that someone needs to help with this camera who does not have it, as JSON: identity, settings, features with their
-    /// bounds and what a capture would do with each, bootstrap registers, a stream's losses, the description. Nothing but the packet size is changed.
+    /// Returns the report as JSON: identity, settings, features with bounds and with the action that a
+    /// capture takes on each, bootstrap registers, losses of a stream, description. It is meant for someone
+    /// who helps without having the camera. Nothing but the packet size is changed.
     pub fn report(&mut self) -> serde_json::Value {
         let features: Vec<_> = self.tree.iter().map(|f| self.feature_report(f)).collect();
         let words = |e: CameraError| serde_json::json!({ "error": e.to_string() });
@@ -88,7 +90,7 @@ impl AravisCamera {
         })
     }
 
-    /// Some frames as the camera stands, and what was lost of them.
+    /// Takes some frames with the current settings and reports the losses.
     fn stream_report(&mut self) -> serde_json::Value {
         let timeout = Duration::from_secs_f64(self.exposure_s().map_or(2.0, |s| (3.0 * s + 2.0).min(60.0)));
         let mut taken = 0;

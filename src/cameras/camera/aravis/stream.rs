@@ -1,4 +1,4 @@
-//! A running acquisition.
+//! Running acquisition.
 
 use super::{arv, Arrived, CameraError, FrameCounter, FrameStream, Settings, StreamCounts, Trigger};
 use crate::frame::{Frame, Region, Status};
@@ -16,7 +16,7 @@ pub(super) struct AravisStream<'a> {
 }
 
 impl AravisStream<'_> {
-    /// Waits for the next frame and shows it, or why it is damaged.
+    /// Waits for the next frame and passes it to `take`, or the reason why it is damaged.
     fn show(
         &mut self,
         timeout: Duration,
@@ -102,14 +102,15 @@ impl FrameStream for AravisStream<'_> {
         let aravis = self.stream.counts();
         let dropped = aravis.dropped;
         let failures = self.counts.failures + aravis.dropped_damaged;
-        // Every lost frame leaves a gap in the numbers, whatever became of it. Aravis counts an underrun for each packet that finds no buffer.
+        // Every lost frame leaves a gap in the frame numbers, whatever the cause. Aravis counts an underrun
+        // for each packet that finds no buffer.
         let left = self.counts.missing.saturating_sub(failures + dropped);
         let underruns = aravis.underruns.min(left);
         StreamCounts { underruns, dropped, failures, missing: left - underruns, ..self.counts }
     }
 }
 
-/// A frame that is whole and what was asked for, or what is wrong with it.
+/// Returns a frame that is complete and as commanded, or a description of the fault.
 fn arrived<'a>(
     received: Received<'a>,
     settings: &Settings,
@@ -129,7 +130,7 @@ fn arrived<'a>(
         return Err(format!("{w} x {h} px at {x}, {y} in format {code:#010x}, not what was commanded"));
     }
     let size = (w as usize, h as usize);
-    // Before the length: a frame that cannot be unpacked was sent all the same.
+    // Counted before the length check: a frame that cannot be unpacked was sent all the same.
     let Some((id, missing)) = counter.take(frame_id, gigevision) else {
         counts.repeated += 1;
         return Err(format!("a frame of number {frame_id} has come before"));

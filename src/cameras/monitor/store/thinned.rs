@@ -1,4 +1,4 @@
-//! Parts of a history for a page: counts, thinned curves, one page of alarms. The database thins, so memory
+//! History for a page: counts, thinned curves, one page of alarms. The database thins the curves, so memory
 //! does not grow with the history.
 
 use super::{Store, StoreError, nanoseconds};
@@ -7,7 +7,7 @@ use sqlx::Row;
 use sqlx::any::AnyRow;
 use std::collections::BTreeMap;
 
-/// Points of a curve.
+/// Maximum number of points of a curve.
 const MAX_POINTS: i64 = 2000;
 
 /// Time range of checks.
@@ -27,25 +27,26 @@ impl Period {
     }
 }
 
-/// A reading, or the least or largest of several.
+/// A reading, or the minimum or maximum of several.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
     /// Time, s since 1970.
     pub time_s: f64,
     /// Value.
     pub value: f64,
-    /// Standard error, the mean of those of several.
+    /// Standard error; for several readings, their mean standard error.
     pub std_err: f64,
 }
 
 type Curves = BTreeMap<Followed, Vec<Point>>;
 
 impl Store {
-    /// Checks of a camera, those of the last days alone where `days` says so; `None` where there are none.
+    /// Returns the time range of a camera's checks, limited to the last `days` if given; `None` without
+    /// checks.
     ///
     /// # Errors
     ///
-    /// An answer of the database that is an error.
+    /// The database reports an error.
     pub fn period(&self, camera: &str, days: Option<f64>) -> Result<Option<Period>, StoreError> {
         let Some((_, last)) = self.span(camera, i64::MIN)? else { return Ok(None) };
         let from = days.map_or(i64::MIN, |d| last.saturating_sub(nanoseconds(d * 86_400.0)));
@@ -67,15 +68,15 @@ impl Store {
         Ok(of(0)?.zip(of(1)?))
     }
 
-    /// Curves of the readings in a period, each of at most 2000 points: single readings where there are no
-    /// more checks, else least and largest value of 1000 equal parts of the period.
+    /// Returns the curves of the readings in a period, each of at most 2000 points: all readings of up to
+    /// 2000 checks, otherwise minimum and maximum in 1000 equal parts of the period.
     ///
     /// # Errors
     ///
-    /// An answer of the database that is an error.
+    /// The database reports an error.
     pub fn curves(&self, camera: &str, period: &Period) -> Result<Curves, StoreError> {
         let (from, to) = period.bounds();
-        // Both ends are rounded to the microsecond by the way of a floating-point number.
+        // Both ends were rounded to the microsecond as floating-point numbers.
         let (from, to) = (from.saturating_sub(ROUNDING_NS), to.saturating_add(ROUNDING_NS));
         let parts = if period.checks <= MAX_POINTS.unsigned_abs() { i64::MAX } else { MAX_POINTS / 2 };
         let width = if parts == i64::MAX { 1 } else { to.saturating_sub(from) / parts + 1 };
@@ -95,11 +96,11 @@ impl Store {
         Ok(out)
     }
 
-    /// Readings of the last 2000 checks of a period after which something was found.
+    /// Returns the readings of the last 2000 checks of a period that raised an alarm.
     ///
     /// # Errors
     ///
-    /// An answer of the database that is an error.
+    /// The database reports an error.
     pub fn marked(&self, camera: &str, period: &Period) -> Result<Curves, StoreError> {
         let (from, to) = period.bounds();
         let query = sqlx::query(
@@ -130,11 +131,12 @@ impl Store {
         Ok(out)
     }
 
-    /// Alarms of a camera in all, and `count` of them from the newest but `skip` on: time and sentence.
+    /// Returns the number of alarms of a camera, and `count` of them, newest first, after the first `skip`:
+    /// time and sentence.
     ///
     /// # Errors
     ///
-    /// An answer of the database that is an error.
+    /// The database reports an error.
     pub fn alarms_page(
         &self,
         camera: &str,
@@ -156,7 +158,7 @@ impl Store {
     }
 }
 
-/// A time in seconds as a 64-bit float is exact to some 0.3 microseconds.
+/// Rounding margin, ns: a time in seconds as a 64-bit float is exact to some 0.3 microseconds.
 const ROUNDING_NS: i64 = 1000;
 
 fn seconds(time_ns: i64) -> f64 {
@@ -167,7 +169,7 @@ fn followed(name: &str) -> Option<Followed> {
     serde_json::from_value(serde_json::Value::String(name.into())).ok()
 }
 
-/// One reading, or the least and the largest of several.
+/// Returns one reading, or minimum and maximum of several.
 fn points(row: &AnyRow) -> Result<(Option<Followed>, Vec<Point>), sqlx::Error> {
     let std_err: f64 = row.try_get(6)?;
     let point = |time: usize, value: usize| {

@@ -1,5 +1,5 @@
-//! Requests of the control protocol (GVCP; GigE Vision 2.0, chapters 13 to 18), each checked before a
-//! register is touched.
+//! Control protocol requests (GVCP; GigE Vision 2.0, chapters 13 to 18), each checked before a register is
+//! touched.
 
 use super::registers::{MIN_PACKET, REGISTER_SPACE, Registers, Rules, address, word};
 use std::net::SocketAddr;
@@ -9,15 +9,15 @@ use std::time::{Duration, Instant};
 const KEY: u8 = 0x42;
 /// Bytes of a header: key, flags, command, length, request id.
 const HEADER: usize = 8;
-/// Longest datagram of the control protocol behind the headers of IP and UDP (GigE Vision 2.0, 13.1: 576
-/// bytes in all).
+/// Maximum size of a control datagram behind the IP and UDP headers (GigE Vision 2.0, 13.1: 576 bytes in
+/// all).
 const LONGEST: usize = MIN_PACKET as usize - 28;
-/// Bytes that are read at most at once: a header and an address stand before them.
+/// Maximum bytes per read: header and address stand before them.
 const LONGEST_READ: u16 = LONGEST as u16 - HEADER as u16 - 4;
-/// Bytes of the answer to a search.
+/// Size of the discovery answer, bytes.
 const DISCOVERY: usize = 0xf8;
-/// Shortest and longest heartbeat timeout: one that is too short would cost control between two requests, one
-/// that is too long would leave a camera with a client that is gone.
+/// Minimum and maximum heartbeat timeout: a shorter one would lose control between two requests, a longer one
+/// would leave a camera with a client that is gone.
 const HEARTBEAT: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(600)];
 
 const DISCOVERY_CMD: u16 = 0x0002;
@@ -40,39 +40,40 @@ enum Status {
     InvalidHeader = 0x800e,
 }
 
-/// The client that may write, and the answers to all.
+/// Control channel: the client with write access, and the answers to all clients.
 pub struct Control {
     registers: Registers,
     rules: Rules,
-    /// The client that has control, and its last request.
+    /// Client in control, and the time of its last request.
     holder: Option<(SocketAddr, Instant)>,
     refused: u64,
 }
 
-/// Header of a request whose length is that of its datagram.
+/// Parsed request.
 struct Request<'a> {
     command: u16,
     id: u16,
     body: &'a [u8],
 }
 
-/// A 16-bit number at a place of bytes.
+/// Reads a 16-bit number at an offset.
 fn half(bytes: &[u8], at: usize) -> Option<u16> {
     Some(u16::from_be_bytes(bytes.get(at..at + 2)?.try_into().ok()?))
 }
 
-/// A 32-bit number at a place of bytes.
+/// Reads a 32-bit number at an offset.
 fn number(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_be_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
 }
 
-/// True for a datagram that asks for cameras (discovery).
+/// Returns true for a discovery request.
 pub(super) fn is_discovery(datagram: &[u8]) -> bool {
     datagram.first() == Some(&KEY) && half(datagram, 2) == Some(DISCOVERY_CMD)
 }
 
 impl<'a> Request<'a> {
-    /// `None`: no request at all, which is not answered. Request 0 does not exist.
+    /// Parses a datagram into a request and the length in its header. `None`: not a request, not answered.
+    /// Request id 0 is invalid.
     fn parse(datagram: &'a [u8]) -> Option<(Self, u16)> {
         let (command, length, id) = (half(datagram, 2)?, half(datagram, 4)?, half(datagram, 6)?);
         let body = datagram.get(HEADER..)?;
@@ -92,12 +93,12 @@ impl Control {
         Self { registers, rules, holder: None, refused: 0 }
     }
 
-    /// Requests refused or dropped so far.
+    /// Returns the number of requests refused or dropped so far.
     pub(super) fn refused(&self) -> u64 {
         self.refused
     }
 
-    /// Takes control from a client that is silent.
+    /// Ends the control of a silent client (heartbeat timeout).
     pub(super) fn rest(&mut self, now: Instant) {
         let ms = self.registers.u32(address::HEARTBEAT_MS);
         let patience = Duration::from_millis(ms.into()).clamp(HEARTBEAT[0], HEARTBEAT[1]);
@@ -109,14 +110,14 @@ impl Control {
         }
     }
 
-    /// A camera that nobody controls sends no frames (GigE Vision 2.0, 28.18).
+    /// Releases control. A camera without a controlling client sends no frames (GigE Vision 2.0, 28.18).
     fn release(&mut self) {
         self.holder = None;
         self.registers.set_u32(address::PRIVILEGE, 0);
         self.registers.set_u32(address::ACQUISITION, 0);
     }
 
-    /// The answer to a datagram, where it is one that is answered.
+    /// Returns the answer to a datagram, if it needs one.
     pub(super) fn answer(&mut self, now: Instant, from: SocketAddr, datagram: &[u8]) -> Option<Vec<u8>> {
         self.rest(now);
         let Some((request, length)) = Request::parse(datagram) else {
@@ -136,7 +137,7 @@ impl Control {
             Err(status) => {
                 self.refused += 1;
                 tracing::debug!(%from, command = request.command, ?status, "control request refused");
-                // Requests to send again have no answer.
+                // Resend requests have no answer.
                 let silent = request.command == PACKETRESEND_CMD;
                 (!silent).then(|| packet(status as u16, request.command | 1, request.id, &[]))
             }
@@ -181,7 +182,7 @@ impl Control {
         }
     }
 
-    /// So many bytes of registers or description, whole words.
+    /// Reads whole words of registers or description.
     fn memory(&self, at: u32, count: usize) -> Result<Vec<u8>, Status> {
         if !at.is_multiple_of(4) || !count.is_multiple_of(4) {
             return Err(Status::BadAlignment);
@@ -232,12 +233,12 @@ impl Control {
     }
 }
 
-/// True for one or more whole entries of this size.
+/// Returns true for one or more whole entries of this size.
 fn whole(body: &[u8], entry: usize) -> bool {
     !body.is_empty() && body.len().is_multiple_of(entry)
 }
 
-/// Body of the answer to a request that writes.
+/// Returns the body of the answer to a write request.
 fn written(count: usize) -> Vec<u8> {
     let count = u16::try_from(count).unwrap_or(u16::MAX);
     [[0; 2], count.to_be_bytes()].concat()
@@ -271,7 +272,7 @@ mod tests {
         all.iter().flat_map(|w| w.to_be_bytes()).collect()
     }
 
-    /// Status and body of the answer.
+    /// Returns status and body of the answer.
     fn ask(control: &mut Control, from: &str, datagram: &[u8]) -> Option<(u16, Vec<u8>)> {
         let answer = control.answer(Instant::now(), from.parse().unwrap(), datagram)?;
         assert_eq!(half(&answer, 4).unwrap() as usize, answer.len() - HEADER);
@@ -299,7 +300,7 @@ mod tests {
         assert_eq!(c.refused(), 0);
     }
 
-    /// Each kind of wrong request, with the status of GigE Vision; registers stay as they were.
+    /// Invalid requests get the GigE Vision status of their kind; registers stay unchanged.
     #[test]
     fn what_is_wrong_is_refused_by_its_kind() {
         let mut c = control();
@@ -340,12 +341,13 @@ mod tests {
             assert_eq!(status(&mut c, &request(command, &body)), wanted as u16, "{command:#x} {body:?}");
         }
         let refused = c.refused();
-        // No requests, and so no answers: an answer to a forged sender would be a nuisance to that one.
+        // Datagrams that are no request get no answer: an answer would hit the owner of a forged sender
+        // address.
         let resend = request(PACKETRESEND_CMD, &words(&[0, 0, 0]));
         for datagram in [&[][..], &[KEY], &[KEY; 7], &[0; 8], &[KEY, 1, 0, 2, 0, 0, 0, 0], &resend] {
             assert_eq!(ask(&mut c, CLIENT, datagram), None);
         }
-        // The length of the header is not that of the datagram.
+        // The length in the header differs from that of the datagram.
         for change in [-1, 1, 4, 100] {
             let mut bent = request(WRITEMEM_CMD, &words(&[address::WIDTH, 32]));
             bent[5] = bent[5].wrapping_add_signed(change);
@@ -356,7 +358,7 @@ mod tests {
         assert!(*c.registers.lock() == before);
     }
 
-    /// One client has control, until it gives it back or is silent.
+    /// One client has control until it releases it or falls silent.
     #[test]
     fn control_is_held_and_lost() {
         let mut c = control();
@@ -375,7 +377,7 @@ mod tests {
         assert_eq!(status(&mut c, &take), 0);
     }
 
-    /// Random bytes, and sound headers with random bodies: no panic, and an answer is never longer than a
+    /// Random bytes, and valid headers with random bodies: no panic, and an answer is never longer than a
     /// request may be.
     #[test]
     fn a_million_random_datagrams() {

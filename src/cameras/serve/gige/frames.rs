@@ -1,4 +1,4 @@
-//! Frames as packets (GVSP; GigE Vision 2.0, chapters 23 and 24), on a thread of their own.
+//! Frames as packets (GVSP; GigE Vision 2.0, chapters 23 and 24), sent from a separate thread.
 
 use super::registers::{MIN_PACKET, Registers, address, word};
 use super::{LOOK, Painter, Request, Shared};
@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Bytes of a packet that carry no pixels: headers of IP, UDP and GVSP.
+/// Overhead of a packet, bytes: headers of IP, UDP and GVSP.
 const OVERHEAD: usize = 20 + 8 + HEADER;
 /// Bytes of a GVSP header: status, block id, format and packet id.
 const HEADER: usize = 8;
@@ -18,9 +18,9 @@ const TRAILER: u8 = 2;
 const PAYLOAD: u8 = 3;
 /// Payload type of images.
 const IMAGE: u16 = 1;
-/// Largest number of bytes for a pixel: RGB of 16 bits and something beside.
+/// Maximum bytes per pixel: RGB of 16 bits, with a margin.
 const PIXEL_BYTES: u64 = 8;
-/// Seed of the packets that are lost on purpose.
+/// Seed of the simulated packet losses.
 const LOSSES: u64 = 3956;
 
 /// Sends frames until the camera ends.
@@ -29,34 +29,34 @@ pub(super) struct Frames {
     socket: UdpSocket,
     painter: Box<dyn Painter>,
     shared: Arc<Shared>,
-    /// Memory of a frame and of a packet.
+    /// Buffers of a frame and of a packet.
     image: Vec<u8>,
     packet: Vec<u8>,
-    /// Packets so far.
+    /// Packets sent so far, lost ones included.
     packets: u64,
 }
 
-/// An acquisition: from its start to its end the destination and the size of packets stay.
+/// An acquisition. Destination and packet size stay fixed from start to end.
 struct Acquisition {
     number: u64,
     to: SocketAddrV4,
-    /// Pixel bytes of a packet.
+    /// Pixel bytes per packet.
     block: usize,
 }
 
-/// True while an acquisition runs whose destination is known.
+/// Returns true while an acquisition with a known destination runs.
 fn runs(bytes: &[u8]) -> bool {
     word(bytes, address::ACQUISITION) != 0
         && word(bytes, address::PRIVILEGE) != 0
         && word(bytes, address::STREAM_PORT) & 0xffff != 0
 }
 
-/// True where frames wait for a trigger, of software or of a line.
+/// Returns true if frames wait for a trigger (software or line).
 fn triggered(bytes: &[u8]) -> bool {
     word(bytes, address::TRIGGER_MODE) == 1
 }
 
-/// True where a software trigger waits.
+/// Returns true if a software trigger is pending.
 fn asked(bytes: &[u8]) -> bool {
     word(bytes, address::TRIGGER_SOURCE) == 1 && word(bytes, address::TRIGGER_SOFTWARE) == 1
 }
@@ -96,14 +96,15 @@ impl Frames {
         })
     }
 
-    /// Frames until the client ends this acquisition. Their numbers begin at 1 with each (GigE Vision 2.0, 23.3).
+    /// Sends frames until the client ends this acquisition. Block ids start at 1 in each (GigE Vision 2.0,
+    /// 23.3).
     fn acquire(&mut self, acquisition: &Acquisition) {
         let (mut id, mut due) = (0u16, Instant::now());
         while !self.ends() && self.goes_on(acquisition) {
             if !self.is_due(acquisition, &mut due) {
                 continue;
             }
-            // 0 is never used.
+            // Block id 0 is never used.
             id = id.checked_add(1).unwrap_or(1);
             self.frame(acquisition, id);
         }
@@ -113,7 +114,7 @@ impl Frames {
         self.registers.acquisitions() == acquisition.number && runs(&self.registers.lock())
     }
 
-    /// Waits for the time of the next frame or for its trigger, in short parts.
+    /// Waits, in short slices, for the time of the next frame or for its trigger.
     fn is_due(&self, acquisition: &Acquisition, due: &mut Instant) -> bool {
         let over = |bytes: &[u8]| {
             !runs(bytes)
@@ -137,7 +138,7 @@ impl Frames {
         }
         let period = Duration::from_micros(self.registers.u32(address::FRAME_PERIOD_US).max(1).into());
         *due += period;
-        // A camera that is late leaves frames out; it does not send them in a burst.
+        // A late camera skips frames instead of sending a burst.
         if *due < now {
             *due = now + period;
         }
@@ -173,7 +174,7 @@ impl Frames {
         self.image.clear();
         self.image.resize(bytes as usize, 0);
         let (painter, registers, image) = (&mut self.painter, &self.registers, &mut self.image);
-        // A painter that fails costs its frame, not the camera.
+        // A panic of the painter costs one frame, not the camera.
         let painted = catch_unwind(AssertUnwindSafe(|| painter.paint(registers, request, image)));
         let timestamp_ns = painted.unwrap_or_else(|_| {
             tracing::error!(?request, "painting a frame panicked");
@@ -202,7 +203,7 @@ impl Frames {
         self.image = image;
     }
 
-    /// One packet, unless it is lost on purpose.
+    /// Sends one packet, unless it is lost on purpose.
     fn send(&mut self, to: SocketAddrV4, id: u16, format: u8, number: u32, body: &[u8]) {
         self.packets += 1;
         let lose = f64::from_bits(self.shared.lose.load(Ordering::Relaxed));
@@ -214,7 +215,7 @@ impl Frames {
         self.packet.extend(id.to_be_bytes());
         self.packet.extend((u32::from(format) << 24 | number & 0xff_ffff).to_be_bytes());
         self.packet.extend(body);
-        // A full queue or a client that is gone loses packets, as a network does.
+        // A full queue or a vanished client loses packets, as in a network.
         if let Err(e) = self.socket.send_to(&self.packet, to) {
             tracing::debug!(%to, error = %e, "a packet could not be sent");
         }

@@ -1,9 +1,8 @@
-//! A GigE Vision camera on the network, in safe Rust: the control protocol (GVCP), the registers behind it,
-//! and the frames (GVSP).
+//! GigE Vision camera in safe Rust: the control protocol (GVCP), its registers, and the frames (GVSP).
 //!
-//! Datagrams come from anybody. Every one is checked for its length, its command, its addresses and its
-//! values before a register is touched ([`control`]); what is wrong is refused with the status that GigE
-//! Vision 2.0 gives it, or dropped where it is no request, and counted.
+//! Datagrams come from any host. Each is checked for length, command, addresses and values before a register
+//! is touched ([`control`]). Invalid requests are refused with the status of GigE Vision 2.0; datagrams that
+//! are no request are dropped. Both are counted.
 
 pub mod control;
 mod frames;
@@ -21,12 +20,12 @@ use std::time::{Duration, Instant};
 
 /// Port of the GigE Vision control protocol.
 const GVCP_PORT: u16 = 3956;
-/// Time between two looks whether the camera ends.
+/// Polling interval of the end flag.
 const LOOK: Duration = Duration::from_millis(50);
-/// Longest datagram of IPv4.
+/// Maximum size of an IPv4 datagram, bytes.
 const LONGEST: usize = 65_536;
 
-/// The frame that is due.
+/// Requested frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Request {
     /// x, y, width, height of the region, pixels.
@@ -35,23 +34,23 @@ pub struct Request {
     pub format: u32,
 }
 
-/// Makes frames, on a thread of its own.
+/// Source of frames, called on a separate thread.
 pub trait Painter: Send {
     /// Fills the bytes of a frame and returns its timestamp, ns.
     fn paint(&mut self, registers: &Registers, request: Request, frame: &mut [u8]) -> u64;
 }
 
-/// Running threads of a camera and what they share.
+/// State shared by the threads of a camera.
 #[derive(Default)]
 struct Shared {
     end: AtomicBool,
     /// Requests refused or dropped.
     refused: AtomicU64,
-    /// Share of packets that are not sent, as the bits of an f64.
+    /// Share of packets to lose, as the bits of an f64.
     lose: AtomicU64,
 }
 
-/// A camera that answers on the network until it is dropped.
+/// Camera that answers on the network until dropped.
 pub struct VirtualCamera {
     registers: Registers,
     shared: Arc<Shared>,
@@ -59,8 +58,8 @@ pub struct VirtualCamera {
 }
 
 impl VirtualCamera {
-    /// Answers on `interface` (its IPv4 address) with the description file `xml`, its registers as `initial`
-    /// says.
+    /// Starts a camera on `interface` (its IPv4 address) with the description file `xml` and the register
+    /// values `initial`.
     ///
     /// # Errors
     ///
@@ -98,7 +97,8 @@ impl VirtualCamera {
         Ok(camera)
     }
 
-    /// Answers what a socket receives, by the socket of the control port. Broadcasts may only ask who is there.
+    /// Answers requests from a socket through the control-port socket. Broadcasts may only be discovery
+    /// requests.
     fn listen(
         &mut self,
         socket: UdpSocket,
@@ -133,27 +133,27 @@ impl VirtualCamera {
         Ok(())
     }
 
-    /// Asks for one frame, where [`address::TRIGGER_MODE`] and [`address::TRIGGER_SOURCE`] are 1.
+    /// Triggers one frame, if [`address::TRIGGER_MODE`] and [`address::TRIGGER_SOURCE`] are 1.
     pub fn trigger(&self) {
         self.registers.set_u32(address::TRIGGER_SOFTWARE, 1);
     }
 
-    /// Its register space.
+    /// Returns the register space.
     pub fn registers(&self) -> Registers {
         self.registers.clone()
     }
 
-    /// True from a client's start of an acquisition to its end.
+    /// Returns true from a client's start of an acquisition to its end.
     pub fn is_acquiring(&self) -> bool {
         self.registers.u32(address::ACQUISITION) != 0
     }
 
-    /// Makes the camera lose this share of its packets, 0 to 1: a bad cable.
+    /// Simulates a bad cable: the camera loses this share of its packets, 0 to 1.
     pub fn set_lost_packets(&self, share: f64) {
         self.shared.lose.store(share.to_bits(), Ordering::Relaxed);
     }
 
-    /// Control requests that were refused or dropped.
+    /// Returns the number of control requests refused or dropped.
     pub fn refused(&self) -> u64 {
         self.shared.refused.load(Ordering::Relaxed)
     }
@@ -173,7 +173,7 @@ fn lock(control: &Mutex<Control>) -> std::sync::MutexGuard<'_, Control> {
     control.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Keeps the count, and tells it at 1, 2, 4, 8 and so on: a flood of requests is no flood of lines.
+/// Stores the count and logs it at powers of two: a flood of requests must not flood the log.
 fn tell_refused(shared: &Shared, refused: u64, from: SocketAddr) {
     if refused > shared.refused.swap(refused, Ordering::Relaxed) && refused.is_power_of_two() {
         tracing::warn!(%from, refused, "control requests refused so far");
@@ -187,8 +187,7 @@ fn not_bound(e: &std::io::Error) -> String {
     }
 }
 
-/// Sockets that hear clients who look for cameras on the whole network. Without them a camera is still found
-/// by its address.
+/// Opens sockets for discovery broadcasts. Without them a camera is still found by its address.
 fn broadcasts(interface: Ipv4Addr) -> Vec<UdpSocket> {
     let subnet = radcam_aravis::broadcast_address(interface).filter(|a| *a != interface);
     let all = [Some(Ipv4Addr::BROADCAST), subnet];
@@ -199,7 +198,7 @@ fn broadcasts(interface: Ipv4Addr) -> Vec<UdpSocket> {
     all.into_iter().flatten().filter_map(bound).collect()
 }
 
-/// A socket of the control port that other cameras of this machine may have too.
+/// Opens a control-port socket that other cameras on this host may share.
 fn shared_socket(address: Ipv4Addr) -> std::io::Result<UdpSocket> {
     use socket2::{Domain, Protocol, Socket, Type};
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;

@@ -1,4 +1,4 @@
-//! The register space of a served camera, big endian, as clients read and write it.
+//! Register space of a served camera, big endian.
 
 use std::net::Ipv4Addr;
 use std::ops::Range;
@@ -6,19 +6,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Registers that every served camera has: those of Aravis's fake camera where the standard leaves the
-/// address open, so that clients written for that one work, and bootstrap registers (GigE Vision 2.0, chapter
-/// 28).
+/// Registers of every served camera: bootstrap registers (GigE Vision 2.0, chapter 28), and where the
+/// standard leaves the address open, those of Aravis's fake camera, so that clients written for that one
+/// work.
 pub mod address {
     /// IPv4 address of the camera.
     pub const CURRENT_IP: u32 = 0x24;
-    /// Maker, 32 bytes of text.
+    /// Manufacturer, 32 bytes of text.
     pub const VENDOR: u32 = 0x48;
     /// Model, 32 bytes of text.
     pub const MODEL: u32 = 0x68;
     /// Device version, 32 bytes of text.
     pub const VERSION: u32 = 0x88;
-    /// Anything of the maker, 48 bytes of text.
+    /// Manufacturer info, 48 bytes of text.
     pub const ABOUT: u32 = 0xa8;
     /// Serial number, 16 bytes of text.
     pub const SERIAL: u32 = 0xd8;
@@ -34,7 +34,7 @@ pub mod address {
     pub const ACQUISITION: u32 = 0x124;
     /// PFNC code.
     pub const PIXEL_FORMAT: u32 = 0x128;
-    /// 1 continuous; others are taken for it.
+    /// Acquisition mode: 1 is continuous; other values are treated as continuous.
     pub const ACQUISITION_MODE: u32 = 0x12c;
     /// First column of the region.
     pub const OFFSET_X: u32 = 0x130;
@@ -42,68 +42,68 @@ pub mod address {
     pub const OFFSET_Y: u32 = 0x134;
     /// Period of the frames, microseconds.
     pub const FRAME_PERIOD_US: u32 = 0x138;
-    /// Address of the description file, 512 bytes of text of which the first half is used.
+    /// URL of the description file, 512 bytes of text of which the first half is used.
     pub const XML_URL: u32 = 0x200;
-    /// 1 where frames wait for a trigger.
+    /// 1 if frames wait for a trigger.
     pub const TRIGGER_MODE: u32 = 0x300;
-    /// 1 where the trigger is software's.
+    /// 1 for the software trigger.
     pub const TRIGGER_SOURCE: u32 = 0x304;
-    /// Writing 1 asks for a frame.
+    /// Writing 1 triggers a frame.
     pub const TRIGGER_SOFTWARE: u32 = 0x30c;
     /// Network interfaces.
     pub const INTERFACES: u32 = 0x600;
     /// Stream channels.
     pub const STREAM_CHANNELS: u32 = 0x904;
-    /// Time without a request of the client after which it loses control, ms.
+    /// Heartbeat timeout, ms: a client without a request for this time loses control.
     pub const HEARTBEAT_MS: u32 = 0x938;
     /// Ticks of the device clock per second, 64 bits.
     pub const TICK_FREQUENCY: u32 = 0x93c;
-    /// Control channel privilege: not 0 where a client has control.
+    /// Control channel privilege: nonzero while a client has control.
     pub const PRIVILEGE: u32 = 0xa00;
-    /// Port to which frames go.
+    /// Destination port of frames.
     pub const STREAM_PORT: u32 = 0xd00;
-    /// Packet size, with the headers of IP and UDP, in the lower half.
+    /// Packet size including IP and UDP headers, in the lower half.
     pub const PACKET_SIZE: u32 = 0xd04;
-    /// Address to which frames go.
+    /// Destination address of frames.
     pub const STREAM_ADDRESS: u32 = 0xd18;
-    /// Port from which frames come.
+    /// Source port of frames.
     pub const SOURCE_PORT: u32 = 0xd1c;
 }
 
-/// Bytes of register space; behind it lies the description file.
+/// Size of the register space, bytes; the description file follows.
 pub const REGISTER_SPACE: u32 = 0x1_0000;
-/// The description file is filled up with zeros to a multiple of the longest read (Aravis reads 512 bytes at
-/// once).
+/// Padding of the description file, bytes: a multiple of the longest read (Aravis reads 512 bytes at once).
 const XML_STEP: usize = 512;
 
-/// Smallest packet: every GigE Vision device takes 576 bytes (GigE Vision 2.0, 28.33: the size that IPv4 grants).
+/// Minimum packet size: every GigE Vision device takes 576 bytes (GigE Vision 2.0, 28.33: the size that IPv4
+/// guarantees).
 pub const MIN_PACKET: u32 = 576;
-/// Heartbeat timeout of a camera that was switched on, ms (GigE Vision 2.0, 28.17).
+/// Heartbeat timeout after power-on, ms (GigE Vision 2.0, 28.17).
 const HEARTBEAT_MS: u32 = 3000;
-/// Packet size of a camera that was switched on: one that Ethernet takes.
+/// Packet size after power-on, bytes: fits Ethernet.
 const PACKET_SIZE: u32 = 1400;
 
 struct Inside {
     bytes: Mutex<Vec<u8>>,
     changed: Condvar,
     acquisitions: AtomicU64,
-    /// Held while a frame is painted and sent, and while a client's request writes.
+    /// Lock held while a frame is painted and sent, and while a client's request writes.
     turn: Mutex<()>,
-    /// Requests that wait for their turn.
+    /// Write requests waiting for the lock.
     writers: AtomicU64,
 }
 
-/// Registers of a camera, shared by whoever answers, paints and keeps files.
+/// Registers of a camera, shared by its threads.
 #[derive(Clone)]
 pub struct Registers(Arc<Inside>);
 
 impl Registers {
     pub(super) fn lock(&self) -> MutexGuard<'_, Vec<u8>> {
-        // Nothing in here panics half way.
+        // No code under this lock panics halfway, so a poisoned lock is still consistent.
         self.0.bytes.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Reads bytes; zeros where the range leaves the register space and the description.
+    /// Reads bytes; zeros if the range exceeds the register space and the description.
     pub fn read(&self, address: u32, into: &mut [u8]) {
         into.fill(0);
         if let Some(from) =
@@ -113,7 +113,7 @@ impl Registers {
         }
     }
 
-    /// Writes bytes; nothing where the range leaves the register space.
+    /// Writes bytes; nothing if the range exceeds the register space.
     pub fn write(&self, address: u32, bytes: &[u8]) {
         let inside = range(address, bytes.len()).filter(|r| r.end <= REGISTER_SPACE as usize);
         if let Some(range) = inside
@@ -148,19 +148,19 @@ impl Registers {
         self.write(address, &value.to_be_bytes());
     }
 
-    /// Acquisitions that clients have begun.
+    /// Returns the number of acquisitions started by clients.
     pub(super) fn acquisitions(&self) -> u64 {
         self.0.acquisitions.load(Ordering::Relaxed)
     }
 
-    /// A client begins one.
+    /// Counts the start of an acquisition by a client.
     pub(super) fn begin(&self) {
         self.0.acquisitions.fetch_add(1, Ordering::Relaxed);
         self.wake();
     }
 
-    /// Waits until no frame is under way: one frame has one state of the registers, and none is under way
-    /// once its end was acknowledged.
+    /// Waits until no frame is in progress: each frame sees one state of the registers, and none is in
+    /// progress once its end was acknowledged.
     pub(super) fn turn_to_write(&self) -> MutexGuard<'_, ()> {
         self.0.writers.fetch_add(1, Ordering::Relaxed);
         let turn = self.0.turn.lock().unwrap_or_else(PoisonError::into_inner);
@@ -168,8 +168,8 @@ impl Registers {
         turn
     }
 
-    /// Waits for the requests that write. They go first: a camera that is always behind its frame rate obeys
-    /// all the same.
+    /// Waits for pending write requests. They have priority, so that a camera permanently behind its frame
+    /// rate still obeys.
     pub(super) fn turn_to_paint(&self) -> MutexGuard<'_, ()> {
         while self.0.writers.load(Ordering::Relaxed) > 0 {
             std::thread::sleep(Duration::from_micros(50));
@@ -177,12 +177,12 @@ impl Registers {
         self.0.turn.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Wakes whoever waits for a change.
+    /// Wakes all threads waiting for a change.
     pub(super) fn wake(&self) {
         self.0.changed.notify_all();
     }
 
-    /// Waits until `over` says so, or the time is up.
+    /// Waits until `over` is true or the time is up.
     pub(super) fn wait(&self, time: Duration, over: impl Fn(&[u8]) -> bool) {
         let bytes = self.lock();
         let waited = self.0.changed.wait_timeout_while(bytes, time, |bytes| !over(bytes));
@@ -190,7 +190,7 @@ impl Registers {
     }
 }
 
-/// A 32-bit register of locked bytes.
+/// Reads a 32-bit register from locked bytes.
 pub(super) fn word(bytes: &[u8], address: u32) -> u32 {
     let word = range(address, 4).and_then(|range| bytes.get(range)?.try_into().ok());
     word.map_or(0, u32::from_be_bytes)
@@ -201,12 +201,12 @@ fn range(address: u32, bytes: usize) -> Option<Range<usize>> {
     Some(from..from.checked_add(bytes)?)
 }
 
-/// Values that clients may write into a 32-bit register.
+/// Bounds of values that clients may write into a 32-bit register.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limit {
-    /// Name of the register.
+    /// Address of the register.
     pub address: u32,
-    /// Bits that count.
+    /// Mask of the checked bits.
     pub mask: u32,
     /// Smallest value.
     pub min: u32,
@@ -214,16 +214,16 @@ pub struct Limit {
     pub max: u32,
 }
 
-/// Registers that clients may write.
+/// Rules for register writes by clients.
 #[derive(Debug, Clone, Default)]
 pub struct Rules {
-    /// Ranges that nobody writes.
+    /// Read-only address ranges.
     pub fixed: Vec<Range<u32>>,
     /// Registers with bounds.
     pub limits: Vec<Limit>,
 }
 
-/// Values of the registers when the camera begins to answer, and the bits that clients may change.
+/// Initial register values, and the rules for client writes.
 #[derive(Debug, Clone, Default)]
 pub struct Initial {
     values: Vec<(u32, Vec<u8>)>,
@@ -231,17 +231,17 @@ pub struct Initial {
 }
 
 impl Initial {
-    /// A 32-bit register.
+    /// Sets a 32-bit register.
     pub fn set_u32(&mut self, address: u32, value: u32) {
         self.values.push((address, value.to_be_bytes().into()));
     }
 
-    /// A 64-bit floating-point register.
+    /// Sets a 64-bit floating-point register.
     pub fn set_f64(&mut self, address: u32, value: f64) {
         self.values.push((address, value.to_be_bytes().into()));
     }
 
-    /// Text in a field of so many bytes, cut and filled with zeros.
+    /// Sets a text field of `field` bytes, truncated and padded with zeros.
     pub fn set_text(&mut self, address: u32, field: usize, text: &str) {
         let mut bytes = vec![0; field];
         let length = text.len().min(field.saturating_sub(1));
@@ -249,17 +249,17 @@ impl Initial {
         self.values.push((address, bytes));
     }
 
-    /// Bounds of what clients may write into a register.
+    /// Bounds the values that clients may write into a register.
     pub fn limit(&mut self, address: u32, min: u32, max: u32) {
         self.rules.limits.push(Limit { address, mask: u32::MAX, min, max });
     }
 
-    /// A register of so many bytes that clients cannot write.
+    /// Makes a register of `bytes` bytes read-only for clients.
     pub fn fix(&mut self, address: u32, bytes: u32) {
         self.rules.fixed.push(address..address + bytes);
     }
 
-    /// The registers of a camera that was switched on.
+    /// Builds the registers in their power-on state.
     pub(super) fn build(
         mut self,
         own: Ipv4Addr,
@@ -294,7 +294,7 @@ impl Initial {
             }
         }
         let mut rules = self.rules;
-        // Identity and description; counts, capabilities and clock; the source of the stream.
+        // Identity and description; counts, capabilities and clock; source port of the stream.
         rules.fixed.extend([
             0..address::WIDTH,
             address::SENSOR_HEIGHT..address::SENSOR_WIDTH + 4,

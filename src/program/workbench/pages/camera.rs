@@ -1,4 +1,4 @@
-//! The camera: live picture with what it says, the settings that matter, and captures.
+//! Camera page: live picture with its statistics, the main settings, and captures.
 
 use super::shell::{self, Part};
 use crate::camera::Bounds;
@@ -8,7 +8,7 @@ use axum::extract::{Query, State};
 use maud::{Markup, html};
 use std::sync::Arc;
 
-/// The page, or its main part.
+/// Renders the page, or its main part.
 pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
     let body = match shared.live() {
         Some(live) => body(&shared, live),

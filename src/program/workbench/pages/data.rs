@@ -1,4 +1,5 @@
-//! The frames: sets with thumbnails, and a viewer with pixel values, histogram, line profile, differences, means and variances.
+//! Data page: sets with thumbnails, and a viewer with pixel values, histogram, line profile, differences,
+//! means and variances.
 
 use super::shell::{self, Part, alert};
 use crate::dataset::Dataset;
@@ -7,7 +8,7 @@ use axum::extract::{Query, State};
 use maud::{Markup, html};
 use std::sync::Arc;
 
-/// The page, or its main part.
+/// Renders the page, or its main part.
 pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
     let campaign = shared.desk().campaign();
     let body = match campaign.as_ref().and_then(|c| c.dataset()) {
@@ -19,7 +20,7 @@ pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> M
             html! { h1 { "Data" } p { "Nothing is read yet." } @if let crate::workbench::desk::Data::Failed(why) = &shared.desk().data { (alert(why)) } }
         }
     };
-    // The viewer is not drawn again under the user's hands.
+    // Without a room the page is not re-rendered while the user works in the viewer.
     let room = if campaign.is_some() { "" } else { "/data" };
     let main = shell::main(&shared, room, body);
     if q.part.is_some() { main } else { shell::page(&shared, "/data", main) }

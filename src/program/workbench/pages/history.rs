@@ -1,5 +1,4 @@
-//! Page of what `radcam monitor` keeps: alarms a page at a time, and every reading over time, thinned by the
-//! database.
+//! History page of `radcam monitor`: paged alarms, and every reading over time, thinned by the database.
 
 use super::shell;
 use crate::monitor::store::{Period, Point, Store, StoreError};
@@ -12,35 +11,35 @@ use maud::{Markup, html};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Alarms of a page.
+/// Alarms per page.
 const ALARMS: u64 = 100;
-/// Cameras of a page; of more one is chosen.
+/// Cameras per page; with more, one must be selected.
 const CAMERAS: usize = 10;
 
-/// Query of the page.
+/// Query parameters of the page.
 #[derive(Default, serde::Deserialize)]
 pub struct Asked {
-    /// Anything: the main part alone.
+    /// If present, only the main part is rendered.
     pub part: Option<String>,
-    /// One camera.
+    /// Name of one camera.
     pub camera: Option<String>,
-    /// Days before the last check; all where not given.
+    /// Days before the last check; all if absent.
     pub days: Option<f64>,
     /// Page of the alarms, from 0.
     pub alarms: Option<u64>,
 }
 
-/// A part of a camera's history.
+/// Part of a camera's history.
 struct Kept {
     camera: String,
     period: Option<Period>,
     curves: BTreeMap<Followed, Vec<Point>>,
     marked: BTreeMap<Followed, Vec<Point>>,
-    /// Number of all alarms, and time and sentence of those of the page.
+    /// Number of all alarms; time and sentence of those on the page.
     alarms: (u64, Vec<(f64, String)>),
 }
 
-/// Names of all cameras, and what is shown.
+/// Names of all cameras, and the histories shown.
 struct Read {
     cameras: Vec<String>,
     shown: Vec<Kept>,
@@ -63,7 +62,7 @@ fn read(url: &str, asked: &Asked) -> Result<Read, StoreError> {
     Ok(Read { cameras, shown })
 }
 
-/// The page, or its main part.
+/// Renders the page, or its main part.
 pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Asked>) -> Markup {
     let url = shared.history.clone();
     let part = q.part.is_some();
@@ -78,7 +77,7 @@ pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Asked>) -> 
     if part { main } else { shell::page(&shared, "/history", main) }
 }
 
-/// Address of another part of the history.
+/// Returns the address of another part of the history.
 fn address(camera: Option<&str>, days: Option<f64>, alarms: u64) -> String {
     let escaped = |text: &str| -> String {
         let of =
@@ -147,12 +146,12 @@ fn section(kept: &Kept, q: &Asked) -> Markup {
     }
 }
 
-/// A name that an element and a file may have.
+/// Converts a text to a name valid for an element and a file.
 fn identifier(text: &str) -> String {
     text.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).collect()
 }
 
-/// A figure for each reading, the checks after which something was found marked.
+/// Plots each reading; checks that raised an alarm are marked.
 fn figures(kept: &Kept) -> Vec<Plot> {
     let Some(begun) = kept.period.map(|p| p.from_s) else { return Vec::new() };
     let followed: BTreeSet<Followed> = kept.curves.keys().copied().collect();

@@ -1,4 +1,4 @@
-//! The pages, one file each, and what they share.
+//! Pages of the workbench, one file each, and their shared parts.
 
 pub mod camera;
 pub mod data;
@@ -13,7 +13,7 @@ use axum::extract::State;
 use maud::Markup;
 use std::sync::Arc;
 
-/// The line that says what goes on.
+/// Renders the status line.
 pub async fn status(State(shared): State<Arc<Shared>>) -> Markup {
     shell::status(&shared)
 }

@@ -1,4 +1,4 @@
-//! The loop: how far the model is off, what shows it, what is missing, add it, and the error falls.
+//! Model page: the error of the model, the evidence, the missing effects; adding an effect reduces the error.
 
 use super::shell::{self, Part, alert};
 use crate::diagnosis::{LAW, Rung, Verdict};
@@ -18,18 +18,18 @@ use maud::{Markup, html};
 use radcam_sim::effects::{self, find};
 use std::sync::Arc;
 
-/// The page, or its main part.
+/// Renders the page, or its main part.
 pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
     if shared.dataset.is_none() && shared.live().is_none() && shared.history.is_some() {
         let asked = super::history::Asked { part: q.part, ..Default::default() };
         return super::history::page(State(shared), Query(asked)).await;
     }
     let body = main(&shared);
-    // One's own effect stands outside the part that is drawn again, so that what is typed stays.
+    // The form for the user's own effect is outside the re-rendered part, so that typed text stays.
     if q.part.is_some() { body } else { shell::page(&shared, "/", html! { (body) (own()) }) }
 }
 
-/// What the page shows of the desk as it is.
+/// Renders the main part from the current state of the desk.
 pub fn main(shared: &Arc<Shared>) -> Markup {
     let desk = shared.desk();
     let body = match &desk.data {
@@ -111,7 +111,7 @@ fn base(j: &Judged) -> Vec<(&'static str, Quantity)> {
     ]
 }
 
-/// The verdict of the last search, first thing on the page.
+/// Renders the verdict of the last search, at the top of the page.
 fn verdict(desk: &Desk) -> Markup {
     match &desk.found {
         Found::Done(d) => {
@@ -180,7 +180,7 @@ fn vals(effect: &str) -> String {
     serde_json::json!({ "effect": effect }).to_string()
 }
 
-/// The effects of the model, each with its switch, values and page.
+/// Renders the effects of the model, each with its switch, values and page.
 fn entries(desk: &Desk, now: &Judged) -> Markup {
     let all = desk.entries();
     html! {
@@ -205,12 +205,13 @@ fn entries(desk: &Desk, now: &Judged) -> Markup {
     }
 }
 
-/// A value without its error, to four digits.
+/// Formats a value without its error: six digits, or four in scientific notation if it is very small or
+/// large.
 fn small(v: f64) -> String {
     if v == 0.0 || (1e-3..1e6).contains(&v.abs()) { six_digits(v) } else { format!("{v:.3e}") }
 }
 
-/// Values with errors from the fit; of an effect that is off, those that it had.
+/// Returns the values with errors from the fit; for an effect that is off, its stored values.
 fn values(e: &Entry, now: &Judged) -> Vec<(String, String)> {
     let place = now.fitted.effects.iter().position(|(f, _)| f.id() == e.name());
     match place.filter(|_| e.on) {
@@ -236,19 +237,19 @@ fn cell_button(r: &Residual, number: &str) -> Markup {
     html! { button.cell hx-get=(address) hx-target="#cell" hx-swap="innerHTML" aria-label={ (number) " " (heat::words(r)) } { (number) } }
 }
 
-/// A cell of the picture.
+/// Cell of the heat map.
 #[derive(serde::Deserialize)]
 pub struct Cell {
     statistic: String,
     set: Option<u32>,
 }
 
-/// One statistic: its curve before and after, and the numbers of one set.
+/// Renders one statistic: its curve before and after, and the numbers of one set.
 pub async fn cell(State(shared): State<Arc<Shared>>, Query(q): Query<Cell>) -> Markup {
     let drawn = aside(move || {
         let desk = shared.desk();
         let [now, first] = desk.judged.clone()?;
-        // The names of what is in the model now.
+        // Names of the effects in the current model.
         let names = desk.entries().into_iter().filter(|e| e.on);
         let names = names
             .map(|e| Rung { added: Some(e.name().into()), error: f64::NAN, p_value: f64::NAN })
@@ -297,7 +298,7 @@ fn detail(q: &Cell, now: &Judged, first: &Judged, rungs: Vec<Rung>, both: bool) 
     }
 }
 
-/// What one's own effect would do.
+/// Renders the trial fit of the user's own effect.
 pub fn tried(before: f64, judged: &Judged) -> Markup {
     let c = &judged.comparison;
     let values = judged.fitted.effects.last().zip(judged.fitted.std_err.last());

@@ -1,4 +1,4 @@
-//! Campaigns side by side: verdict, error, gain and read noise of each.
+//! Comparison of campaigns: verdict, error, gain and read noise of each.
 
 use super::shell::{self, Part};
 use crate::number::with_error;
@@ -10,7 +10,7 @@ use axum::extract::{Query, State};
 use maud::{Markup, html};
 use std::sync::Arc;
 
-/// The page, or its main part.
+/// Renders the page, or its main part.
 pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
     let main = shell::main(&shared, "/runs", body(&shared));
     if q.part.is_some() { main } else { shell::page(&shared, "/runs", main) }

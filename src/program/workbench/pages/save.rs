@@ -1,4 +1,4 @@
-//! What is kept: the model, the report, a calibration; each with the command that makes the same.
+//! Save page: the model, the report, a calibration; each with the equivalent command.
 
 use super::shell::{self, Part};
 use crate::workbench::Shared;
@@ -7,7 +7,7 @@ use axum::extract::{Query, State};
 use maud::{Markup, html};
 use std::sync::Arc;
 
-/// The page, or its main part.
+/// Renders the page, or its main part.
 pub async fn page(State(shared): State<Arc<Shared>>, Query(q): Query<Part>) -> Markup {
     let main = shell::main(&shared, "/save", body(&shared));
     if q.part.is_some() { main } else { shell::page(&shared, "/save", main) }

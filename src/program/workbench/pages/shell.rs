@@ -1,23 +1,23 @@
-//! The frame of every page: title, rooms, what goes on, and what went wrong.
+//! Layout of all pages: title, navigation, status and errors.
 
 use crate::workbench::Shared;
 use crate::workbench::live::lock;
 use maud::{DOCTYPE, Markup, html};
 use std::sync::Arc;
 
-/// Asked for by a page that is open already: its main part alone.
+/// Query for the main part alone, sent by a page that is already open.
 #[derive(serde::Deserialize)]
 pub struct Part {
-    /// Anything: the main part alone.
+    /// If present, only the main part is rendered.
     pub part: Option<String>,
 }
 
-/// What went wrong, where a screen reader says it at once.
+/// Renders an error that a screen reader announces at once.
 pub fn alert(text: &str) -> Markup {
     html! { p.error role="alert" { (text) } }
 }
 
-/// A command that does the same.
+/// Renders the equivalent command.
 pub fn command(text: &str) -> Markup {
     html! { p.command { "Command: " code { (text) } } }
 }
@@ -29,7 +29,7 @@ fn title(shared: &Shared) -> String {
         .unwrap_or_default()
 }
 
-/// A whole page. `room` is its address.
+/// Renders a whole page. `room` is its route.
 pub fn page(shared: &Arc<Shared>, room: &str, main: Markup) -> Markup {
     let rooms = [
         (shared.dataset.is_some() || shared.live().is_some(), "/", "Model"),
@@ -70,7 +70,8 @@ pub fn page(shared: &Arc<Shared>, room: &str, main: Markup) -> Markup {
     }
 }
 
-/// What goes on: work with its progress and an end, a question of the bench, what went wrong. Two with the same key differ by progress only.
+/// Renders the status: the running job with progress and cancellation, a question of the bench, the last
+/// error. Two states with the same key differ in progress only.
 pub fn status(shared: &Arc<Shared>) -> Markup {
     let job = lock(&shared.job).clone();
     let question = shared.live().and_then(|l| l.operator.question());
@@ -104,7 +105,7 @@ pub fn status(shared: &Arc<Shared>) -> Markup {
     }
 }
 
-/// The main part of a page, drawn again from `room` when the model changes.
+/// Renders the main part of a page; it is re-rendered from the route `room` when the model changes.
 pub fn main(shared: &Shared, room: &str, body: Markup) -> Markup {
     let (model, _) = *shared.changed.borrow();
     html! { main #main data-model=(model) data-room=(room) { (body) } }
