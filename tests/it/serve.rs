@@ -376,6 +376,26 @@ fn a_calibration_without_binning_does_not_hold_for_a_camera_that_bins() {
     assert!(text.contains("BinningHorizontal is 2, and was 1"), "{text}");
 }
 
+/// A region's position is recorded with the camera's features, and a calibration moves the region back to it: the
+/// pattern of other pixels corrects nothing.
+#[test]
+fn a_calibration_knows_where_its_region_lay() {
+    let _port = gige_port();
+    let _served = serve(sensor(), Ipv4Addr::LOCALHOST.into(), "TEST1", &Options::default()).unwrap();
+    let mut camera = AravisCamera::open(LOOPBACK).unwrap();
+    let whole = camera.settings().unwrap().region;
+    let part = Region { x: 8, y: 4, width: whole.width / 2, height: whole.height / 2 };
+    assert_eq!(camera.set_region(part).unwrap(), part);
+    let now = radcam::camera::info(&mut camera).unwrap();
+    assert_eq!((now.features["OffsetX"].as_integer(), now.features["OffsetY"].as_integer()), (Some(8), Some(4)));
+    let mut calibration = calibration("xc77", "TEST1", (now.height, now.width), |_| (64.0, 1.0));
+    calibration.description.camera = now;
+    let elsewhere = Region { x: 0, y: 0, ..part };
+    camera.set_region(elsewhere).unwrap();
+    radcam::stream::prepare(&mut camera, &calibration, None).unwrap();
+    assert_eq!(camera.settings().unwrap().region, part);
+}
+
 /// A calibrated camera whose exposure is set by its feature's name follows with its dark reference, and goes back where that does not reach.
 #[test]
 fn a_calibrated_camera_follows_its_features() {

@@ -159,3 +159,28 @@ fn planes_of_ome_tiff_have_their_own_exposures() {
     assert_eq!((&*info.vendor, &*info.model, &*info.serial), ("Andor", "Zyla 4.2", "VSC-1"));
     assert_eq!(dataset.rows()[7].timestamp_s, Some(7.0));
 }
+
+/// Two channels of a stack, of OME without planes and of ImageJ, are two sets: frames of two cameras are no repeats.
+#[test]
+fn channels_of_stacks_part_sets() {
+    let camera = Camera { bits: 12, gain: 0.5, read_noise_e: 2.0, black_dn: 32.0, most_e: 7000.0 };
+    let ome = format!(
+        r#"<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYCZT" Type="uint16" SizeX="{SIDE}" SizeY="{SIDE}" SizeZ="1" SizeC="2" SizeT="6"><Channel ID="Channel:0:0" Name="left"/><Channel ID="Channel:0:1" Name="right"/><TiffData IFD="0" PlaneCount="12"/></Pixels></Image></OME>"#
+    );
+    let imagej = "ImageJ=1.53t\nimages=12\nchannels=2\nframes=6\nhyperstack=true\n".to_string();
+    for text in [ome, imagej] {
+        let folder = Folder::new();
+        let of = |lights: [f64; 2]| -> Vec<Array2<u16>> {
+            (0..12).map(|t| camera.frame(t, lights[t as usize % 2])).collect()
+        };
+        tiff::<Gray16>(&folder.file("flats_20ms.tif"), &of([0.6, 0.3]), &text);
+        tiff::<Gray16>(&folder.file("darks_20ms.tif"), &of([0.0, 0.0]), &text);
+        let (said, dataset) = folder.import();
+        let frames: Vec<usize> = dataset.sets().iter().map(|set| set.rows.len()).collect();
+        assert_eq!(frames, [6; 4], "{said}");
+        for set in dataset.sets() {
+            let means: Vec<f64> = dataset.read_set(set).unwrap().iter().map(|f| f.mapv(f64::from).mean().unwrap()).collect();
+            assert!(means.iter().all(|mean| (mean - means[0]).abs() < 20.0), "{means:?}");
+        }
+    }
+}

@@ -94,6 +94,19 @@ impl Ome {
             .fold(0usize, |place, axis| place.saturating_mul(self.size(*axis)).saturating_add(at(*axis)))
     }
 
+    /// Planes of a file that describes none, as tifffile writes it; none where they are not as many as its pages.
+    fn all_planes(&self, pages: usize) -> Vec<BTreeMap<String, String>> {
+        let sizes = ['C', 'Z', 'T'].map(|axis| self.size(axis));
+        if sizes.iter().fold(1usize, |n, size| n.saturating_mul(*size)) != pages {
+            return Vec::new();
+        }
+        let plane = |i: usize| {
+            let at = [i % sizes[0], i / sizes[0] % sizes[1], i / sizes[0] / sizes[1]];
+            ["TheC", "TheZ", "TheT"].into_iter().zip(at).map(|(key, n)| (key.into(), n.to_string())).collect()
+        };
+        (0..pages).map(plane).collect()
+    }
+
     /// Directories of the file that hold planes, in the order of the planes: by TiffData where there is any
     /// (section "TiffData" of the OME-TIFF specification), else in the order of the axes. Of blocks that
     /// overlap the first counts.
@@ -191,14 +204,40 @@ fn plane(ome: &Ome, plane: &BTreeMap<String, String>) -> Facts {
     out
 }
 
-/// Facts of the pages of an OME-TIFF; empty of any other file.
+/// Largest number of channels of a hyperstack that are taken for such (a named choice): a stack that was saved with
+/// its frames as channels has more.
+const MAX_CHANNELS: usize = 4;
+
+/// Channels of the pages of an ImageJ hyperstack, which come first in its order (XYCZT).
+fn channels_of_imagej(text: &str, pages: &[usize]) -> BTreeMap<usize, Facts> {
+    let said = |key: &str| {
+        text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix('=')?.trim().parse::<usize>().ok())
+    };
+    let channels = said("channels").filter(|n| (2..=MAX_CHANNELS).contains(n) && *n < pages.len());
+    let Some(channels) = channels.filter(|_| said("images") == Some(pages.len())) else { return BTreeMap::new() };
+    let of = |(place, page): (usize, &usize)| {
+        (*page, Facts { filter: Some(format!("channel {}", place % channels)), ..Facts::default() })
+    };
+    pages.iter().enumerate().map(of).collect()
+}
+
+/// Facts of the pages of an OME-TIFF or an ImageJ hyperstack; empty of any other file.
 pub fn planes(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
     let text = || image::tiff_head(path).ok()?.get_tag_ascii_string(Tag::ImageDescription).ok();
-    let Some(text) = text().filter(|t| is_ome(t)) else { return BTreeMap::new() };
-    let ome = Ome::of(&text, &path.file_name().unwrap_or_default().to_string_lossy());
+    let text = text().unwrap_or_default();
+    if text.starts_with("ImageJ=") {
+        return channels_of_imagej(&text, pages);
+    }
+    if !is_ome(&text) {
+        return BTreeMap::new();
+    }
+    let mut ome = Ome::of(&text, &path.file_name().unwrap_or_default().to_string_lossy());
     // Several images of a file count their planes apart, and only some programs say where each begins.
     if ome.images != 1 {
         return BTreeMap::new();
+    }
+    if ome.planes.is_empty() && ome.size('C') > 1 {
+        ome.planes = ome.all_planes(pages.len());
     }
     let place = |p: &BTreeMap<String, String>| {
         ome.place(&|axis: char| p.get(&format!("The{axis}")).and_then(|n| n.parse().ok()).unwrap_or(0))

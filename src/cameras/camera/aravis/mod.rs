@@ -546,10 +546,8 @@ impl Camera for AravisCamera {
         let mut features = BTreeMap::new();
         let kept = |name: &str| {
             let role = role(name);
-            // Not recorded: exposure, pixel format and offsets of the region, and gain and black level that
-            // have dataset keys.
-            let said = ["ExposureTime", "ExposureTimeAbs", "PixelFormat", "OffsetX", "OffsetY"]
-                .contains(&name)
+            // Not recorded: exposure and pixel format, and gain and black level that have dataset keys.
+            let said = ["ExposureTime", "ExposureTimeAbs", "PixelFormat"].contains(&name)
                 || self.gain == Some(name)
                 || (name == "BlackLevel" && self.capabilities.black_level_dn.is_some());
             let recorded = matches!(role, Some(Role::Setting | Role::Geometry)) || suspicious(name);
