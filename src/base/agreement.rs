@@ -1,26 +1,26 @@
-//! Whether something agrees with measurements, as every verb and report says it.
+//! Agreement grades shared by all commands and reports.
 
 use serde::{Deserialize, Serialize};
 
-/// Below this chance a model does not describe the campaign.
+/// Chance below which a model does not describe the campaign.
 pub const P_LIMIT: f64 = 1e-3;
-/// Below this chance one looks again.
+/// Chance below which the agreement is doubtful.
 pub const DOUBT: f64 = 0.05;
 
-/// Whether a model describes a campaign: the one word that every verb and report has for it.
+/// Agreement of a model with a campaign: the grade used by all commands and reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Agreement {
-    /// Within the noise.
+    /// Deviations within the noise.
     Holds,
-    /// Chance would do so less than once in twenty campaigns.
+    /// Deviations that occur by chance less than once in twenty campaigns.
     Doubtful,
-    /// Chance would do so less than once in a thousand.
+    /// Deviations that occur by chance less than once in a thousand campaigns.
     Fails,
 }
 
 impl Agreement {
-    /// From the chance of deviations as large as those seen.
+    /// Grades the chance of deviations as large as those seen.
     pub fn of(p_value: f64) -> Self {
         match p_value {
             p if p >= DOUBT => Self::Holds,
@@ -29,7 +29,7 @@ impl Agreement {
         }
     }
 
-    /// In words, of a model.
+    /// Describes the agreement of a model.
     pub fn words(self) -> &'static str {
         match self {
             Self::Holds => "the model agrees with the measurements to within the noise",
@@ -40,7 +40,7 @@ impl Agreement {
         }
     }
 
-    /// In words, of levels and the line through them.
+    /// Describes the agreement of levels with the line through them.
     pub fn of_a_line(self) -> &'static str {
         match self {
             Self::Holds => "the levels lie on the line",

@@ -1,11 +1,12 @@
-//! What the features of real cameras do to pixel values.
+//! Effects of the features of real cameras on pixel values.
 //!
-//! Names are those of the Standard Features Naming Convention (SFNC 2.7) and of the makers whose description files were read. A feature that
-//! has no line here and whose name speaks of radiometry is recorded with its value, and the capture warns of it ([`suspicious`]).
+//! Names are those of the Standard Features Naming Convention (SFNC 2.7) and of the makers whose description
+//! files were read. An unlisted feature whose name suggests radiometry is recorded with its value, and the
+//! capture warns of it ([`suspicious`]).
 
 use std::fmt;
 
-/// The value of a feature that has no method of its own.
+/// Value of a feature that has no method of its own.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
     /// Boolean.
@@ -40,29 +41,29 @@ impl From<Value> for toml::Value {
     }
 }
 
-/// The value at which a feature leaves the image alone.
+/// Value at which a feature leaves the image unchanged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Neutral {
-    /// False, 0, or the entry that says so (`Off`, `Disabled`, `None`).
+    /// False, 0, or the entry for off (`Off`, `Disabled`, `None`).
     Off,
     /// True.
     On,
     /// This number.
     Number(f64),
-    /// This entry; a camera that does not offer it means something else by the name.
+    /// This entry; a camera without it means something else by the name.
     Entry(&'static str),
 }
 
-/// What a feature has to do with radiometry.
+/// Relation of a feature to radiometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Role {
-    /// It changes pixel values: brought to its neutral value before a capture. Left on it acts like these effects.
+    /// Changes pixel values: set to its neutral value before a capture. Left on, it acts like these effects.
     Distorts(Neutral, &'static [&'static str]),
-    /// A setting under which a calibration holds: recorded.
+    /// Setting under which a calibration holds: recorded.
     Setting,
-    /// Which pixels are read and how they are put together: recorded; a calibration holds for its own only.
+    /// Selection and combination of the pixels read: recorded; a calibration holds for its own geometry only.
     Geometry,
-    /// It does nothing to the codes that radcam reads, for this reason.
+    /// No effect on the codes that radcam reads, for this reason.
     Harmless(&'static str),
 }
 
@@ -77,13 +78,13 @@ const FILTER: &[&str] = &["spatial-filter"];
 const DENOISE: &[&str] = &["spatial-filter", "temporal-filter"];
 /// Single pixels replaced by their neighbours.
 const DEFECTS: &[&str] = &["random-telegraph-noise"];
-/// The black level that follows the image.
+/// Black level that follows the image.
 const BLACK: &[&str] = &["offset-drift", "row-noise", "column-noise", "black-clipping"];
-/// The gain that follows the image.
+/// Gain that follows the image.
 const GAIN: &[&str] = &["gain-drift", "illumination-setting"];
-/// The exposure that follows the image.
+/// Exposure that follows the image.
 const EXPOSURE: &[&str] = &["illumination-setting", "illumination-drift", "exposure-offset"];
-/// The factor of every pixel.
+/// Factor of every pixel.
 const SHADING: &[&str] = &["tap-mismatch"];
 /// Codes that are no measurement.
 const PATTERN: &[&str] = &[];
@@ -95,7 +96,7 @@ const STATUS: Role = Harmless("tells and changes nothing");
 const TIMING: Role = Harmless("when frames are read, not what is in them");
 const EVENT: Role = Harmless("a message beside the image");
 
-/// Every feature that is known, in alphabetic order.
+/// Known features, in alphabetic order.
 const KNOWN: &[(&str, Role)] = &[
     ("ADC_range", Setting),
     ("ALC_Intensifier_Gain", Setting),
@@ -293,7 +294,7 @@ const KNOWN: &[(&str, Role)] = &[
     ("PixelDynamicRangeMin", STATUS),
     ("PixelFormat", Setting),
     ("PvGainRaw", Setting),
-    // FITS keywords: mode of the read-out, and whether rows run upwards.
+    // FITS keywords: mode of the read-out, and direction of the rows (upwards or not).
     ("READOUTM", Setting),
     ("ROWORDER", Geometry),
     ("ReadOutTime", TIMING),
@@ -351,17 +352,17 @@ const KNOWN: &[(&str, Role)] = &[
     ("pgrHDR_GainAbs", FOLLOWS),
 ];
 
-/// What is known of a feature; `None` where it is not listed.
+/// Returns the role of a feature; `None` if it is not listed.
 pub fn role(name: &str) -> Option<Role> {
     KNOWN.binary_search_by(|(known, _)| (*known).cmp(name)).ok().map(|at| KNOWN[at].1)
 }
 
-/// Every feature that has a role, by its GenICam name.
+/// Returns every feature that has a role, by its GenICam name.
 pub fn known() -> impl Iterator<Item = (&'static str, Role)> {
     KNOWN.iter().copied()
 }
 
-/// Effects that a feature looks like where it is left on; none where it is not known.
+/// Returns the effects that a feature resembles if it is left on; empty if it is not known.
 pub fn acts_like(name: &str) -> &'static [&'static str] {
     match role(name) {
         Some(Distorts(_, effects)) => effects,
@@ -369,7 +370,7 @@ pub fn acts_like(name: &str) -> &'static [&'static str] {
     }
 }
 
-/// How a feature's value is written.
+/// Type of a feature's value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// True or false.
@@ -384,8 +385,8 @@ pub enum Kind {
     Text,
 }
 
-/// The value at which a feature of this kind, with these entries, leaves the image alone; `None` where this camera means something else by
-/// the name, or has no such value: then it is a setting.
+/// Returns the value at which a feature of this kind, with these entries, leaves the image unchanged. `None`
+/// if this camera means something else by the name, or has no such value: the feature is then a setting.
 pub fn neutral_value(neutral: Neutral, kind: Kind, entries: &[String]) -> Option<Value> {
     let number = |value: f64| match kind {
         Kind::Boolean => Some(Value::Bool(value != 0.0)),
@@ -406,15 +407,15 @@ pub fn neutral_value(neutral: Neutral, kind: Kind, entries: &[String]) -> Option
     }
 }
 
-/// Whether a value, as text, says that something is off.
+/// Returns true if a value, as text, means off.
 fn is_off(value: &str) -> bool {
     OFF_ENTRIES.contains(&value) || matches!(value, "false" | "0")
 }
 
-/// Entries of enumerations that switch something off, as makers write it.
+/// Entries of enumerations that switch something off, as makers write them.
 const OFF_ENTRIES: [&str; 8] = ["Off", "OFF", "off", "Disabled", "Disable", "disable", "None", "False"];
 
-/// Whether a value is that of a switch: an enumeration that has no entry for off is none.
+/// Returns true if a value may mean on. An enumeration without an entry for off is no switch.
 fn may_be_on(value: &str) -> bool {
     matches!(value, "true" | "On" | "ON" | "Enabled" | "Enable" | "Continuous" | "Once" | "Auto")
         || value.parse::<f64>().is_ok_and(|v| v != 0.0)
@@ -425,10 +426,10 @@ fn may_be_on(value: &str) -> bool {
 pub struct LeftOn {
     /// GenICam name.
     pub feature: String,
-    /// Its value, where it is known.
+    /// Value, if known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value: Option<String>,
-    /// Effects that it looks like; empty where that is not known.
+    /// Effects that the feature resembles; empty if unknown.
     pub acts_like: Vec<String>,
 }
 
@@ -439,7 +440,8 @@ impl std::fmt::Display for LeftOn {
     }
 }
 
-/// What was left on: of the values that were read back those that are not neutral, and the `named`, which could not be switched off.
+/// Returns the features left on: those whose value, as read back, is not neutral, and the `named` ones, which
+/// could not be switched off.
 pub fn left_on(values: &std::collections::BTreeMap<String, String>, named: &[String]) -> Vec<LeftOn> {
     let acting = |name: &str| !is_disabled(name, |enable| values.get(enable).cloned());
     let seen = values.iter().filter(|(name, value)| {
@@ -464,8 +466,8 @@ pub fn left_on(values: &std::collections::BTreeMap<String, String>, named: &[Str
     names.into_iter().map(of).collect()
 }
 
-/// Whether a calibration holds for one value of a feature only. The exposure is a setting of every frame, and stands with it; what follows
-/// the image is no setting.
+/// Returns true if a calibration holds for one value of a feature only. The exposure is a setting of every
+/// frame and is recorded with it; a value that follows the image is no setting.
 pub fn is_setting(name: &str) -> bool {
     let name = plain(name);
     let exposure =
@@ -476,7 +478,7 @@ pub fn is_setting(name: &str) -> bool {
         && name != "AutoBlackLevelValue"
 }
 
-/// Whether two values of a feature, as text, are the same: `1` and `1.0` are.
+/// Returns true if two values of a feature, as text, are the same: `1` and `1.0` are.
 pub fn same_value(a: &str, b: &str) -> bool {
     let plain = |v: &str| v.trim_matches('"').to_string();
     match (plain(a).parse::<f64>(), plain(b).parse::<f64>()) {
@@ -485,12 +487,12 @@ pub fn same_value(a: &str, b: &str) -> bool {
     }
 }
 
-/// A name without the entry of its selector.
+/// Returns a name without the entry of its selector.
 fn plain(name: &str) -> &str {
     name.split_once('[').map_or(name, |(name, _)| name)
 }
 
-/// Whether a feature has a switch of its own (`GammaEnable` of `Gamma`) that is off.
+/// Returns true if a feature has a switch of its own (`GammaEnable` of `Gamma`) that is off.
 pub fn is_disabled(name: &str, value_of: impl Fn(&str) -> Option<String>) -> bool {
     let entry = &name[plain(name).len()..];
     let switch = |end: &str| {
@@ -500,7 +502,7 @@ pub fn is_disabled(name: &str, value_of: impl Fn(&str) -> Option<String>) -> boo
     ["Enable", "Enabled"].iter().any(|end| switch(end).is_some_and(|v| is_off(&v)))
 }
 
-/// Whether the name of a feature that is not listed speaks of radiometry.
+/// Returns true if the name of an unlisted feature suggests radiometry.
 pub fn suspicious(name: &str) -> bool {
     const WORDS: [&str; 37] = [
         "gain",

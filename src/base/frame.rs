@@ -1,15 +1,15 @@
-//! A frame: its pixels in DN, and what the camera said of it.
+//! Frame: pixels in DN, and the data that the camera sends with them.
 
 use crate::pixel_format::PixelFormat;
 use ndarray::Array2;
 pub use radcam_sim::Region;
 
-/// Whether a frame may be used.
+/// State of a frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Status {
-    /// Every byte arrived, in the format and region that were asked for.
+    /// Every byte arrived, in the requested format and region.
     Complete,
-    /// Something is wrong with it; it must not be used, and is counted.
+    /// Damaged for this reason; the frame must not be used, and is counted.
     Damaged(String),
 }
 
@@ -18,18 +18,18 @@ pub enum Status {
 pub struct Frame {
     /// Codes in DN, (rows, columns).
     pub pixels: Array2<u16>,
-    /// Whether the pixels may be used.
+    /// State of the pixels.
     pub status: Status,
-    /// Number of the frame by the camera's own count; the 16 bits of GigE Vision are unwrapped.
+    /// Frame number by the camera's own count; the 16 bits of GigE Vision are unwrapped.
     pub id: u64,
-    /// Device clock at the start of the frame, ns, where the camera tells.
+    /// Device clock at the start of the frame, ns, if the camera reports it.
     pub timestamp_ns: Option<u64>,
-    /// Sensor temperature when the frame was taken, degrees Celsius, where the camera tells.
+    /// Sensor temperature when the frame was taken, degrees Celsius, if the camera reports it.
     pub temperature_c: Option<f64>,
 }
 
 impl Frame {
-    /// A frame to be filled.
+    /// Creates a frame to be filled.
     pub fn new(width: usize, height: usize) -> Self {
         Self {
             pixels: Array2::zeros((height, width)),
@@ -40,7 +40,7 @@ impl Frame {
         }
     }
 
-    /// The pixels row by row, in memory of the size asked for; reallocates only when that changes.
+    /// Returns the pixels row by row, in memory of the requested size; reallocates only if the size changes.
     pub fn pixels_mut(&mut self, width: usize, height: usize) -> &mut [u16] {
         if self.pixels.dim() != (height, width) {
             self.pixels = Array2::zeros((height, width));
@@ -48,7 +48,7 @@ impl Frame {
         self.pixels.as_slice_mut().unwrap_or_default()
     }
 
-    /// Largest code that a pixel of the format can hold is not passed by any pixel.
+    /// Returns true if no pixel exceeds the largest code of the format.
     pub fn fits(&self, format: PixelFormat) -> bool {
         self.pixels.iter().fold(0, |a, &b| a | b) <= format.full_scale_dn()
     }

@@ -1,5 +1,5 @@
-//! Connections of the page and of the metrics: bounded in number and in time, so that whoever holds them open
-//! in vain locks nobody out.
+//! Connections of the page and of the metrics. Their number and duration are limited, so that idle
+//! connections lock nobody out.
 
 use axum::Router;
 use axum::body::{Body, to_bytes};
@@ -18,27 +18,28 @@ use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 
-/// Time for the head of a request, and for its body. Browsers send both within milliseconds.
+/// Time limits for the head of a request and for its body. Browsers send both within milliseconds.
 const HEAD_TIME: Duration = Duration::from_secs(10);
 const BODY_TIME: Duration = Duration::from_secs(10);
-/// Largest body: forms are shorter.
+/// Maximum size of a body, bytes: forms are shorter.
 const MAX_BODY: usize = 2 << 20;
-/// Connections of one address, and of all. A browser has 6 of a page; a process may have 1024 open files.
+/// Maximum number of connections of one address, and of all. A browser has 6 per page; a process may have
+/// 1024 open files.
 const MAX_OF_A_PEER: usize = 128;
 const MAX_CONNECTIONS: usize = 256;
-/// Pause after a connection could not be accepted, as where no file descriptor is free.
+/// Pause after a failed accept, as when no file descriptor is free.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// An open connection.
+/// Open connection.
 struct Guest {
     number: u64,
     peer: IpAddr,
-    /// A request of it was answered, and not refused.
+    /// True once a request of the connection was answered and not refused.
     welcome: Arc<AtomicBool>,
     end: Arc<Notify>,
 }
 
-/// Connections that are open, the oldest first.
+/// Open connections, the oldest first.
 #[derive(Default)]
 struct Door {
     guests: Vec<Guest>,
@@ -46,8 +47,8 @@ struct Door {
 }
 
 impl Door {
-    /// Lets a connection in. Where the house is full the oldest that has not got anything must go; where all
-    /// have, nobody else comes in.
+    /// Admits a connection. If the limit is reached, the oldest connection without an answer is closed; if
+    /// all have an answer, the new one is refused.
     fn enter(&mut self, peer: IpAddr) -> Option<(u64, Arc<AtomicBool>, Arc<Notify>)> {
         let crowded = self.guests.iter().filter(|g| g.peer == peer).count() >= MAX_OF_A_PEER;
         if crowded || self.guests.len() >= MAX_CONNECTIONS {
@@ -71,7 +72,7 @@ fn lock(door: &Mutex<Door>) -> MutexGuard<'_, Door> {
     door.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Answers until it is dropped.
+/// Serves connections until the future is dropped.
 pub(crate) async fn serve(listener: TcpListener, router: Router) {
     let door = Arc::new(Mutex::new(Door::default()));
     loop {
@@ -96,7 +97,7 @@ pub(crate) async fn serve(listener: TcpListener, router: Router) {
     }
 }
 
-/// Answers the requests of a connection.
+/// Serves the requests of a connection.
 async fn converse(stream: TcpStream, router: Router, welcome: Arc<AtomicBool>) {
     let watched = router.layer(from_fn(move |request: Request, next: Next| {
         let welcome = Arc::clone(&welcome);
@@ -119,7 +120,7 @@ async fn converse(stream: TcpStream, router: Router, welcome: Arc<AtomicBool>) {
     }
 }
 
-/// The request with its whole body.
+/// Reads the request with its whole body.
 async fn whole(request: Request) -> Result<Request, Box<Response>> {
     let (head, body) = request.into_parts();
     let refuse = |code: StatusCode, why: &'static str| Err(Box::new((code, why).into_response()));
@@ -169,7 +170,7 @@ mod tests {
 
     const GET: &str = "GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n";
 
-    /// Half-open connections of several kinds: a person gets in all the while, and each ends by itself.
+    /// Half-open connections of several kinds do not lock out a client, and each ends by itself.
     #[test]
     fn half_open_connections_lock_nobody_out() {
         let address = server();
@@ -191,7 +192,7 @@ mod tests {
                 assert!(begun.elapsed() < Duration::from_secs(2));
             }
         }
-        // Bodies that do not come are refused in words, heads that do not come end the connection.
+        // Missing bodies are refused with a message; missing heads end the connection.
         let begun = Instant::now();
         for mut stream in held {
             stream.set_read_timeout(Some(2 * HEAD_TIME)).unwrap();

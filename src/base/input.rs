@@ -1,19 +1,20 @@
-//! Opens every file that others wrote: regular files only, after links, and never more bytes than their size.
+//! Opens every file written by others: regular files only, after links, and never more bytes than their size.
 //!
-//! A FIFO makes its reader wait, a device has no end. Both are refused by name, so a dataset that comes by
-//! mail cannot hold radcam up or fill the memory through a link. All readers use these functions; a test
-//! searches the sources for others.
+//! A FIFO blocks its reader, and a device has no end. Both are refused by name, so a dataset received by mail
+//! cannot block radcam or fill the memory through a link. All readers use these functions; a test searches
+//! the sources for others.
 
 pub use radcam_sim::text::{echo, echo_lines, echo_message};
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Result};
 use std::path::Path;
 
-/// Largest settings file (manifest, plan, model, map, library), bytes. The largest known is a model with a
-/// table of code widths, 2 MB.
+/// Maximum size of a settings file (manifest, plan, model, map, library), bytes. The largest known is a model
+/// with a table of code widths, 2 MB.
 pub const MAX_SETTINGS_BYTES: u64 = 1 << 26;
 
-/// Largest text table (`frames.csv`, EMVA 1288 descriptor, table of statistics), bytes: some 10^7 rows.
+/// Maximum size of a text table (`frames.csv`, EMVA 1288 descriptor, table of statistics), bytes: some 10^7
+/// rows.
 pub const MAX_TABLE_BYTES: u64 = 1 << 30;
 
 /// Opens a regular file for reading.
@@ -22,11 +23,11 @@ pub const MAX_TABLE_BYTES: u64 = 1 << 30;
 ///
 /// The path cannot be opened, or leads to a FIFO, device, socket or folder.
 pub fn open(path: &Path) -> Result<File> {
-    // Before the file is opened: opening a device may move a tape or start a watchdog.
+    // The type is checked before the file is opened: opening a device may move a tape or start a watchdog.
     must_be_regular(&std::fs::metadata(path)?)?;
     let mut options = OpenOptions::new();
     options.read(true);
-    // The path may have become a FIFO since: opening one waits for a writer otherwise.
+    // The path may have become a FIFO since. Without this flag, opening one waits for a writer.
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::custom_flags(
         &mut options,
@@ -41,7 +42,7 @@ pub fn open(path: &Path) -> Result<File> {
 ///
 /// # Errors
 ///
-/// As [`open`], and where the memory is not there.
+/// As [`open`], and if there is not enough memory.
 pub fn bytes(path: &Path) -> Result<Vec<u8>> {
     whole(path, u64::MAX)
 }
@@ -50,7 +51,7 @@ pub fn bytes(path: &Path) -> Result<Vec<u8>> {
 ///
 /// # Errors
 ///
-/// As [`bytes`], and where the file is larger or no UTF-8.
+/// As [`bytes`], and if the file is larger or no UTF-8.
 pub fn settings(path: &Path) -> Result<String> {
     text(path, MAX_SETTINGS_BYTES)
 }
@@ -59,17 +60,17 @@ pub fn settings(path: &Path) -> Result<String> {
 ///
 /// # Errors
 ///
-/// As [`bytes`], and where the file is larger or no UTF-8.
+/// As [`bytes`], and if the file is larger or no UTF-8.
 pub fn table(path: &Path) -> Result<String> {
     text(path, MAX_TABLE_BYTES)
 }
 
-/// Reads a text that any program wrote, up to [`MAX_SETTINGS_BYTES`]: UTF-8, UTF-16 with its mark, or else
-/// Latin 1.
+/// Reads a text that any program wrote, up to [`MAX_SETTINGS_BYTES`]: UTF-8, UTF-16 with a byte order mark,
+/// or else Latin 1.
 ///
 /// # Errors
 ///
-/// As [`bytes`], and where the file is larger.
+/// As [`bytes`], and if the file is larger.
 pub fn plain_text(path: &Path) -> Result<String> {
     let wide = |bytes: &[u8], unit: fn([u8; 2]) -> u16| {
         let units: Vec<u16> = bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]])).collect();
@@ -85,7 +86,7 @@ pub fn plain_text(path: &Path) -> Result<String> {
     })
 }
 
-/// The first bytes of a regular file, as many as there are up to `most`.
+/// Reads the first bytes of a regular file, up to `most`.
 ///
 /// # Errors
 ///
@@ -120,7 +121,7 @@ fn must_be_regular(found: &Metadata) -> Result<()> {
     Err(invalid(&format!("is {}; a regular file is needed", name_of(found.file_type()))))
 }
 
-/// Name of a file type, with its article.
+/// Returns the name of a file type, with its article.
 pub(crate) fn name_of(kind: FileType) -> &'static str {
     #[cfg(unix)]
     {
@@ -150,10 +151,10 @@ fn invalid(message: &str) -> Error {
     Error::new(ErrorKind::InvalidInput, message)
 }
 
-/// Largest image in memory that a packed file of `size` bytes may make, bytes.
+/// Returns the maximum size in memory of the image in a packed file of `size` bytes, bytes.
 ///
-/// Deflate packs a constant image a thousand to one, and frames with noise four to one at most. So a file may
-/// hold 256 MiB of a constant image, and beyond that 64 times its own size.
+/// Deflate packs a constant image a thousand to one, and frames with noise four to one at most. The limit is
+/// 256 MiB, enough for a constant image, plus 64 times the size of the file.
 pub(crate) fn max_unpacked_bytes(size: u64) -> u64 {
     const SMALL_IMAGE: u64 = 1 << 28;
     const MAX_PACKING_OF_LARGE_IMAGES: u64 = 64;

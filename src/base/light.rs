@@ -1,4 +1,4 @@
-//! How much light falls on a pixel, in photons: what a photodiode before the camera says of the bench.
+//! Light on a pixel, in photons, from a photodiode before the camera.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 const PLANCK_J_S: f64 = 6.626_070_15e-34;
 const LIGHT_M_PER_S: f64 = 299_792_458.0;
 
-/// The light at illumination 1, in `[bench.light]` of `dataset.toml` and `[light]` of a plan: the photon flux, or the irradiance with
-/// wavelength and pixel area.
+/// Light at illumination 1, in `[bench.light]` of `dataset.toml` and `[light]` of a plan: the photon flux, or
+/// the irradiance with wavelength and pixel area.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Light {
@@ -23,14 +23,15 @@ pub struct Light {
     /// Area of a pixel, um^2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pixel_area_um2: Option<f64>,
-    /// How well the irradiance as a whole is known, relative standard error: the photodiode's calibration. It is common to all levels.
+    /// Relative standard error of the irradiance as a whole: the photodiode's calibration. It is common to
+    /// all levels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub irradiance_rel_std: Option<f64>,
 }
 
 impl Light {
-    /// Photons per pixel per second at illumination 1: given, or E A lambda / (h c) (EMVA 1288, release 4.0 Linear, eq. 3). None where neither
-    /// is known.
+    /// Returns the photons per pixel per second at illumination 1: the stated flux, or E A lambda / (h c)
+    /// (EMVA 1288, release 4.0 Linear, eq. 3). None if neither is known.
     ///
     /// ```
     /// let light = radcam::light::Light {
@@ -47,11 +48,11 @@ impl Light {
         })
     }
 
-    /// Whether every number that is given is above 0; the sentence names the first that is not.
+    /// Checks that every stated number is above 0, and the relative error within 0 to 1.
     ///
     /// # Errors
     ///
-    /// Which key has which value.
+    /// The first key that fails, with its value.
     pub fn check(&self) -> Result<(), String> {
         let all = [
             ("photon_flux_per_s", self.photon_flux_per_s, "photons per pixel per second"),

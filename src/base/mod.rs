@@ -1,8 +1,9 @@
-//! Numbers, files, frames and formats: what every other room stands on.
+//! Numbers, files, frames and formats: the base of all other modules.
 //!
-//! Nothing here knows a campaign. [`number`] rounds values to their errors, [`agreement`] grades fits, [`fit`] solves;
-//! [`input`] and `output` are the only places that open and write files; [`frame`], [`pixel_format`], [`features`] and
-//! [`light`] are the terms of GenICam and EMVA 1288. Begin with [`number`].
+//! Nothing here depends on a campaign. [`number`] rounds values to their errors, [`agreement`] grades fits,
+//! [`fit`] solves; [`input`] and `output` are the only places that open and write files; [`frame`],
+//! [`pixel_format`], [`features`] and [`light`] are the terms of GenICam and EMVA 1288. Begin with
+//! [`number`].
 
 pub mod agreement;
 pub mod features;

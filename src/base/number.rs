@@ -1,4 +1,4 @@
-//! Numbers as text, as many digits as their errors are worth, and units.
+//! Numbers as text, rounded to their errors, and units.
 
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -10,7 +10,7 @@ pub struct Quantity {
     /// The value.
     #[serde(with = "finite")]
     pub value: f64,
-    /// Its standard error.
+    /// Standard error of the value.
     #[serde(with = "finite")]
     pub std_err: f64,
     /// Unit of both.
@@ -18,7 +18,7 @@ pub struct Quantity {
 }
 
 impl Quantity {
-    /// A value, its standard error and their unit.
+    /// Creates a quantity from a value, its standard error and their unit.
     pub fn new(value: f64, std_err: f64, unit: &'static str) -> Self {
         Self { value, std_err, unit: unit.into() }
     }
@@ -31,7 +31,7 @@ impl fmt::Display for Quantity {
     }
 }
 
-/// JSON has no NaN: it is written as null, and read back as NaN.
+/// JSON has no NaN: NaN is written as null, and read back as NaN.
 pub(crate) mod finite {
     use serde::{Deserialize, Deserializer, Serializer};
 
@@ -44,7 +44,7 @@ pub(crate) mod finite {
     }
 }
 
-/// A value and its error with as many digits as the error is worth: `0.38004 ± 0.00021`.
+/// Formats a value and its error with the significant digits of the error: `0.38004 ± 0.00021`.
 ///
 /// ```
 /// use radcam::number::with_error;
@@ -68,7 +68,7 @@ pub fn with_error(value: f64, std_err: f64) -> String {
     }
 }
 
-/// A value whose error is not known, to six digits: `0.216947`.
+/// Formats a value of unknown error with six digits: `0.216947`.
 ///
 /// ```
 /// use radcam::number::six_digits;
@@ -84,7 +84,7 @@ pub fn six_digits(value: f64) -> String {
     text.into()
 }
 
-/// A value with its error and its unit as people write it; shares and choices have none.
+/// Formats a value with its error and its unit in usual notation; shares and choices have no unit.
 ///
 /// ```
 /// use radcam::number::with_unit;
@@ -98,7 +98,7 @@ pub fn with_unit(value: f64, std_err: f64, unit: &str) -> String {
     format!("{} {}", with_error(value, std_err), pretty(unit)).trim_end().into()
 }
 
-/// A unit as people write it.
+/// Returns a unit in usual notation.
 pub fn pretty(unit: &str) -> &str {
     match unit {
         "DN^2" => "DN²",
@@ -114,7 +114,7 @@ pub fn pretty(unit: &str) -> &str {
     }
 }
 
-/// A chance, as people write it.
+/// Formats a probability.
 ///
 /// ```
 /// use radcam::number::chance;
@@ -130,12 +130,12 @@ pub fn chance(p: f64) -> String {
     }
 }
 
-/// Decimals that show two digits of an error.
+/// Returns the number of decimals that show two digits of an error.
 fn digits(std_err: f64) -> Option<usize> {
     (std_err.is_finite() && std_err > 0.0).then(|| (1.0 - std_err.log10().floor()).clamp(0.0, 12.0) as usize)
 }
 
-/// A share in per cent, with a word where rounding would say all or nothing.
+/// Formats a share in per cent, in words if rounding would give all or nothing.
 pub fn percent(share: f64) -> String {
     match share {
         s if s > 0.999 => "more than 99.9 %".into(),
@@ -145,7 +145,7 @@ pub fn percent(share: f64) -> String {
     }
 }
 
-/// Numbers in ascending order as `0 to 3, 7`.
+/// Formats numbers in ascending order as `0 to 3, 7`.
 pub(crate) fn ranges(numbers: &[usize]) -> String {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     for &n in numbers {
@@ -162,7 +162,7 @@ pub(crate) fn ranges(numbers: &[usize]) -> String {
     runs.iter().map(text).collect::<Vec<_>>().join(", ")
 }
 
-/// Seconds of a unit of time; `None` where it is none.
+/// Returns the seconds of a unit of time; `None` for another unit.
 pub fn seconds(unit: &str) -> Option<f64> {
     Some(match unit.to_lowercase().as_str() {
         "s" | "sec" | "secs" | "second" | "seconds" => 1.0,

@@ -1,18 +1,18 @@
-//! Places that radcam writes to: regular files and new names, in folders that are no links.
+//! Output files: regular files and new names only, in folders that are no links.
 //!
-//! A file is written beside its place and renamed, which would replace a device or a FIFO by a file, and a
-//! link in a dataset that came from elsewhere could lead anywhere. Both are refused by name.
+//! A file is written beside its place and renamed. The rename would replace a device or a FIFO by a file, and
+//! a link in a dataset from elsewhere could lead anywhere. Both are refused by name.
 
 use crate::input::name_of;
 use std::fs::{File, OpenOptions};
 use std::io::{Error, ErrorKind, Result};
 use std::path::{Path, PathBuf};
 
-/// Refuses a path that is there and no regular file.
+/// Refuses an existing path that is not a regular file.
 ///
 /// # Errors
 ///
-/// The path is a link, device, FIFO, socket or folder, or cannot be looked at.
+/// The path is a link, device, FIFO, socket or folder, or cannot be examined.
 pub fn must_be_file_or_new(path: &Path) -> Result<()> {
     match std::fs::symlink_metadata(path) {
         Ok(found) if found.is_file() => Ok(()),
@@ -22,22 +22,22 @@ pub fn must_be_file_or_new(path: &Path) -> Result<()> {
     }
 }
 
-/// Makes a folder where there is none, with those above it; refuses a link in its place.
+/// Creates a folder and its parents if they are missing; refuses a link in its place.
 ///
 /// # Errors
 ///
-/// The path is a link or a file, or the folder cannot be made.
+/// The path is a link or a file, or the folder cannot be created.
 pub fn folder(path: &Path) -> Result<()> {
     must_be_folder_or_new(path)?;
     std::fs::create_dir_all(path)?;
     must_be_folder_or_new(path)
 }
 
-/// Makes the folders of a relative path below a root; refuses links among them and `..`.
+/// Creates the folders of a relative path below a root; refuses links among them and `..`.
 ///
 /// # Errors
 ///
-/// As [`folder`], with the path of what is wrong.
+/// As [`folder`], with the path that failed.
 #[cfg(feature = "cli")]
 pub fn folders_below(root: &Path, relative: &Path) -> std::result::Result<(), (PathBuf, Error)> {
     use std::path::Component;
@@ -54,16 +54,16 @@ pub fn folders_below(root: &Path, relative: &Path) -> std::result::Result<(), (P
     Ok(())
 }
 
-/// Opens a regular file to append to it, a new one where there is none and `create` says so.
+/// Opens a regular file to append to it; creates a missing one if `create` is true.
 ///
 /// # Errors
 ///
-/// As [`must_be_file_or_new`], and where the file cannot be opened.
+/// As [`must_be_file_or_new`], and if the file cannot be opened.
 pub fn append(path: &Path, create: bool) -> Result<File> {
     must_be_file_or_new(path)?;
     let mut options = OpenOptions::new();
     options.append(true).create(create);
-    // The path may have changed since.
+    // The path may have changed since the check.
     #[cfg(unix)]
     {
         use rustix::fs::OFlags;
@@ -73,7 +73,7 @@ pub fn append(path: &Path, create: bool) -> Result<File> {
     options.open(path)
 }
 
-/// Brings the names in a folder to the disk.
+/// Syncs the names in a folder to the disk.
 ///
 /// # Errors
 ///
@@ -82,7 +82,7 @@ pub fn synchronise(folder: &Path) -> Result<()> {
     File::open(folder)?.sync_all()
 }
 
-/// The folder of a file.
+/// Returns the folder of a file.
 pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
@@ -90,7 +90,7 @@ pub fn folder_of(path: &Path) -> &Path {
 fn must_be_folder_or_new(path: &Path) -> Result<()> {
     match std::fs::symlink_metadata(path) {
         Ok(found) if found.is_dir() => Ok(()),
-        // `folder/` and `.` follow links by the rules of the system: the user wrote where they lead.
+        // `folder/` and `.` follow links by the rules of the system: the user named the target.
         Ok(found) => {
             Err(refusal(name_of(found.file_type()), "a folder is needed, and links are not followed"))
         }
@@ -103,19 +103,19 @@ fn refusal(kind: &str, needed: &str) -> Error {
     Error::new(ErrorKind::InvalidInput, format!("is {kind}; {needed}"))
 }
 
-/// A folder held for one writer, from the moment it is made until this is dropped.
+/// Folder locked for one writer, from its creation until drop.
 ///
-/// The lock is on the folder itself: a file in it can be renamed away. A folder that was made for it and
+/// The lock is on the folder itself, because a file in it can be renamed away. A folder created for it that
 /// stayed empty is removed.
 #[derive(Debug)]
 pub struct Held {
     path: PathBuf,
     made: bool,
-    /// Handle of the folder; none on systems that cannot lock folders: `frames.csv` alone is locked there.
+    /// Handle of the folder; none on systems that cannot lock folders, on which only `frames.csv` is locked.
     _handle: Option<File>,
 }
 
-/// Why a folder cannot be held.
+/// Reasons for not locking a folder.
 #[derive(Debug)]
 pub enum HoldError {
     /// Another program holds it.
@@ -125,13 +125,13 @@ pub enum HoldError {
 }
 
 impl Held {
-    /// Makes the folder where there is none, and locks it.
+    /// Creates the folder if it is missing, and locks it.
     ///
     /// # Errors
     ///
-    /// Another program holds the folder, the path is a link, or it cannot be made.
+    /// Another program holds the folder, the path is a link, or it cannot be created.
     pub fn take(path: &Path) -> std::result::Result<Self, HoldError> {
-        // A folder that its last holder removes while it is opened here is made again.
+        // A folder that its last holder removes while it is opened here is created again.
         for _ in 0..100 {
             let made = !path.exists();
             folder(path).map_err(HoldError::Io)?;
@@ -176,7 +176,7 @@ fn open_folder(_: &Path) -> Option<File> {
     None
 }
 
-/// True if the open folder is the one that has this name now.
+/// Returns true if the open folder is the one that has this name now.
 #[cfg(unix)]
 fn is_at(handle: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;

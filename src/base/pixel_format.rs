@@ -1,11 +1,11 @@
-//! Pixel formats of the Pixel Format Naming Convention (PFNC), and the way from their bytes to DN.
+//! Pixel formats of the Pixel Format Naming Convention (PFNC), and the conversion of their bytes to DN.
 //!
 //! One row of the table below is one format. A new format is a new row.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// A monochrome or Bayer-mosaic pixel format. Bayer frames are kept as the mosaic that they are.
+/// Monochrome or Bayer-mosaic pixel format. Bayer frames are kept as mosaics.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct PixelFormat(usize);
@@ -13,7 +13,7 @@ pub struct PixelFormat(usize);
 type Unpack = fn(&[u8], &mut [u16]);
 type Pack = fn(&[u16], &mut [u8]);
 
-/// What there is to know of one format.
+/// Properties of one format.
 struct Row {
     name: &'static str,
     /// PFNC code, as GigE Vision and USB3 Vision send it.
@@ -73,12 +73,12 @@ const TABLE: &[Row] = &[
     row("BayerBG12Packed", 0x010C_002D, 12, unpack_12_packed, pack_12_packed),
 ];
 
-/// A name or a code that is not in the table.
+/// Name or code that is not in the table.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("pixel format {0} is not supported; supported are {names}", names = PixelFormat::names().join(", "))]
 pub struct UnknownFormat(String);
 
-/// The bytes of a frame have the wrong length.
+/// Wrong length of the bytes of a frame.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{pixels} pixels of {format} are {expected} bytes, and {found} came")]
 pub struct WrongLength {
@@ -89,10 +89,10 @@ pub struct WrongLength {
 }
 
 impl PixelFormat {
-    /// Mono16, the form of frames that radcam itself hands on.
+    /// Mono16, the format of frames that radcam itself passes on.
     pub const MONO16: Self = Self(4);
 
-    /// Every format.
+    /// Returns every format.
     pub fn all() -> impl Iterator<Item = Self> {
         (0..TABLE.len()).map(Self)
     }
@@ -105,7 +105,7 @@ impl PixelFormat {
         &TABLE[self.0]
     }
 
-    /// The format of a PFNC name, such as `Mono12p`.
+    /// Finds the format of a PFNC name, such as `Mono12p`.
     ///
     /// ```
     /// use radcam::pixel_format::PixelFormat;
@@ -118,85 +118,85 @@ impl PixelFormat {
     ///
     /// # Errors
     ///
-    /// Where radcam cannot unpack a format of this name.
+    /// radcam cannot unpack a format of this name.
     pub fn from_name(name: &str) -> Result<Self, UnknownFormat> {
         Self::all().find(|f| f.name() == name).ok_or_else(|| UnknownFormat(format!("\"{name}\"")))
     }
 
-    /// The format of a PFNC code.
+    /// Finds the format of a PFNC code.
     ///
     /// # Errors
     ///
-    /// Where radcam cannot unpack a format of this code.
+    /// radcam cannot unpack a format of this code.
     pub fn from_code(code: u32) -> Result<Self, UnknownFormat> {
         Self::all().find(|f| f.code() == code).ok_or_else(|| UnknownFormat(format!("{code:#010x}")))
     }
 
-    /// The format of the same pixels in which each takes whole bytes.
+    /// Returns the format of the same pixels with whole bytes per pixel.
     pub fn unpacked(self) -> Self {
         let name = self.name();
         let plain = name.trim_end_matches("Packed").trim_end_matches('p');
         Self::from_name(plain).unwrap_or(self)
     }
 
-    /// Whether it is a colour mosaic of two by two pixels.
+    /// Returns true for a colour mosaic of two by two pixels.
     pub fn is_mosaic(self) -> bool {
         self.name().starts_with("Bayer")
     }
 
-    /// PFNC name.
+    /// Returns the PFNC name.
     pub fn name(self) -> &'static str {
         self.row().name
     }
 
-    /// PFNC code.
+    /// Returns the PFNC code.
     pub fn code(self) -> u32 {
         self.row().code
     }
 
-    /// Significant bits of a pixel; codes run from 0 to 2^bits - 1.
+    /// Returns the significant bits of a pixel; codes run from 0 to 2^bits - 1.
     pub fn bits(self) -> u8 {
         self.row().bits
     }
 
-    /// Largest code, DN.
+    /// Returns the largest code, DN.
     pub fn full_scale_dn(self) -> u16 {
         ((1u32 << self.bits()) - 1) as u16
     }
 
-    /// Bits that a pixel takes on the wire: the third byte of a PFNC code.
+    /// Returns the bits of a pixel on the wire: the third byte of a PFNC code.
     pub fn bits_per_pixel(self) -> usize {
         (self.code() >> 16 & 0xFF) as usize
     }
 
-    /// Bytes that so many pixels take, rounded up.
+    /// Returns the bytes of this number of pixels, rounded up.
     pub fn payload(self, pixels: usize) -> usize {
         (pixels * self.bits_per_pixel()).div_ceil(8)
     }
 
-    /// Codes in DN from the bytes of a frame.
+    /// Converts the bytes of a frame to codes in DN.
     ///
     /// # Errors
     ///
-    /// Where the two lengths do not fit together.
+    /// The two lengths do not match.
     pub fn unpack(self, bytes: &[u8], dn: &mut [u16]) -> Result<(), WrongLength> {
         self.check(bytes.len(), dn.len())?;
         (self.row().unpack)(bytes, dn);
         Ok(())
     }
 
-    /// Bytes of a frame from its codes; the inverse of [`unpack`](Self::unpack).
+    /// Converts codes to the bytes of a frame; the inverse of [`unpack`](Self::unpack).
     ///
     /// # Errors
     ///
-    /// Where the two lengths do not fit together.
+    /// The two lengths do not match.
     pub fn pack(self, dn: &[u16], bytes: &mut [u8]) -> Result<(), WrongLength> {
         self.check(bytes.len(), dn.len())?;
         (self.row().pack)(dn, bytes);
         Ok(())
     }
 
-    /// As [`unpack`](Self::unpack), of lengths that were checked.
+    /// Converts as [`unpack`](Self::unpack) does, for lengths that were checked.
     pub(crate) fn unpack_checked(self, bytes: &[u8], dn: &mut [u16]) {
         (self.row().unpack)(bytes, dn);
     }
@@ -238,7 +238,7 @@ fn pack_8(dn: &[u16], bytes: &mut [u8]) {
     }
 }
 
-/// Little endian, in the low bits.
+/// Unpacks little-endian words with the code in the low bits.
 fn unpack_16(bytes: &[u8], dn: &mut [u16]) {
     let (words, _) = bytes.as_chunks::<2>();
     for (d, &w) in dn.iter_mut().zip(words) {
@@ -253,7 +253,7 @@ fn pack_16(dn: &[u16], bytes: &mut [u8]) {
     }
 }
 
-/// Groups of `N` pixels in `B` bytes; a last, incomplete group is filled up with zeros.
+/// Unpacks groups of `N` pixels in `B` bytes; a last, incomplete group is padded with zeros.
 fn unpack_groups<const B: usize, const N: usize>(
     bytes: &[u8],
     dn: &mut [u16],
@@ -288,7 +288,7 @@ fn pack_groups<const B: usize, const N: usize>(
     }
 }
 
-/// GigE Vision 12 bit: high eight bits of each pixel outside, both low nibbles in the middle byte.
+/// Unpacks GigE Vision 12 bit: high eight bits of each pixel outside, both low nibbles in the middle byte.
 fn unpack_12_packed(bytes: &[u8], dn: &mut [u16]) {
     unpack_groups(bytes, dn, |[a, b, c]: [u8; 3]| {
         [u16::from(a) << 4 | u16::from(b & 0x0F), u16::from(c) << 4 | u16::from(b >> 4)]
@@ -301,7 +301,7 @@ fn pack_12_packed(dn: &[u16], bytes: &mut [u8]) {
     });
 }
 
-/// GigE Vision 10 bit: as 12 bit, with two low bits at bits 0 and 4 of the middle byte.
+/// Unpacks GigE Vision 10 bit: as 12 bit, with two low bits at bits 0 and 4 of the middle byte.
 fn unpack_10_packed(bytes: &[u8], dn: &mut [u16]) {
     unpack_groups(bytes, dn, |[a, b, c]: [u8; 3]| {
         [u16::from(a) << 2 | u16::from(b & 3), u16::from(c) << 2 | u16::from(b >> 4 & 3)]
@@ -314,7 +314,7 @@ fn pack_10_packed(dn: &[u16], bytes: &mut [u8]) {
     });
 }
 
-/// PFNC `p`: one stream of bits, least significant first.
+/// Unpacks PFNC `p`: one stream of bits, least significant first.
 fn unpack_12p(bytes: &[u8], dn: &mut [u16]) {
     unpack_groups(bytes, dn, |[a, b, c]: [u8; 3]| {
         [u16::from(a) | u16::from(b & 0x0F) << 8, u16::from(b >> 4) | u16::from(c) << 4]

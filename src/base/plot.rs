@@ -1,4 +1,4 @@
-//! Plots as numbers: what a page draws and what is written as CSV.
+//! Plots as numbers, drawn by a page and written as CSV.
 
 use std::borrow::Cow;
 
@@ -11,7 +11,7 @@ pub struct Axis {
     pub log: bool,
 }
 
-/// How a series is drawn.
+/// Drawing style of a series.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Shape {
@@ -28,9 +28,9 @@ pub enum Shape {
 /// A series of a plot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// What the legend says.
+    /// Text of the legend.
     pub label: String,
-    /// How it is drawn.
+    /// Drawing style.
     pub shape: Shape,
     /// x, y, standard error of y (NaN where there is none).
     pub points: Vec<[f64; 3]>,
@@ -47,14 +47,14 @@ pub struct Plot {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// What is drawn.
+    /// Series of the plot.
     pub series: Vec<Series>,
-    /// Range of y that the standard asks for.
+    /// Range of y required by the standard.
     pub y_range: Option<(f64, f64)>,
 }
 
 impl Plot {
-    /// The numbers: columns series, x, y and std_err, empty where there is none.
+    /// Returns the numbers as CSV: columns series, x, y and std_err, which is empty if there is none.
     pub fn csv(&self) -> String {
         let mut out = format!("series,{},{},std_err\n", quoted(&self.x.title), quoted(&self.y.title));
         for s in &self.series {
@@ -67,27 +67,27 @@ impl Plot {
     }
 }
 
-/// A field of CSV.
+/// Quotes a CSV field if necessary.
 fn quoted(text: &str) -> String {
     if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into() }
 }
 
-/// A linear axis.
+/// Creates a linear axis.
 pub(crate) fn axis(title: impl Into<String>) -> Axis {
     Axis { title: title.into(), log: false }
 }
 
-/// A logarithmic axis.
+/// Creates a logarithmic axis.
 pub(crate) fn log(title: impl Into<String>) -> Axis {
     Axis { title: title.into(), log: true }
 }
 
-/// A series.
+/// Creates a series.
 pub(crate) fn series(label: impl Into<String>, shape: Shape, points: Vec<[f64; 3]>) -> Series {
     Series { label: label.into(), shape, points }
 }
 
-/// A dashed line at one value, from 0 to `end`.
+/// Creates a dashed line at one value, from 0 to `end`.
 pub(crate) fn level(label: impl Into<String>, y: f64, end: f64) -> Series {
     series(label, Shape::Dashed, vec![[0.0, y, f64::NAN], [end, y, f64::NAN]])
 }

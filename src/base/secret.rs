@@ -1,10 +1,10 @@
-//! Addresses of databases without their secrets.
+//! Database addresses without their secrets.
 
-/// An address as it is shown: without password and without parameters.
+/// Returns an address for display: without password and without parameters.
 pub fn shown(url: &str) -> String {
     let Some((kind, rest)) = url.split_once("://") else { return url.into() };
     let rest = rest.split(['?', '#']).next().unwrap_or_default();
-    // A password may hold an @ or a slash that is not escaped: the host stands behind the last @.
+    // A password may hold an unescaped @ or slash: the host follows the last @.
     let (user, host) = match rest.rsplit_once('@') {
         Some((user, host)) => (user.split(':').next().unwrap_or_default(), host),
         None => ("", rest),
@@ -13,7 +13,7 @@ pub fn shown(url: &str) -> String {
     format!("{kind}://{user}{host}")
 }
 
-/// True of an address with a password.
+/// Returns true for an address with a password.
 pub fn has_password(url: &str) -> bool {
     let Some((_, rest)) = url.split_once("://") else { return false };
     let (place, parameters) = rest.split_once('?').unwrap_or((rest, ""));

@@ -1,5 +1,5 @@
-//! Model files as a comparison uses them: which effects one gives, and one with fitted values; files of effects
-//! of a user's own.
+//! Model files in a comparison: effects that one gives, and a model with fitted values; files of the user's
+//! own effects.
 
 use crate::dataset::CameraInfo;
 use crate::inference::{Fitted, Given};
@@ -9,7 +9,7 @@ use radcam_sim::effects::{Effect, OwnEffect, find};
 use radcam_sim::{EffectValues, Model};
 use std::path::{Path, PathBuf};
 
-/// The effects of a list, with what it gives of their values.
+/// Returns the effects of a list, with their given values.
 ///
 /// # Errors
 ///
@@ -22,8 +22,9 @@ pub fn given<'e>(effects: impl IntoIterator<Item = &'e EffectValues>) -> Result<
     effects.into_iter().map(of).collect()
 }
 
-/// The effects of a model as a fit takes them: what an earlier fit has found, and has an error therefore, is searched for anew, choices
-/// included; what the user has given is kept, and so is where a formula of the user's own began.
+/// Returns the effects of a model as a fit takes them. Values that an earlier fit found, and which therefore
+/// have an error, are searched for anew, choices included. Values that the user has given are kept, as are
+/// the starts of a formula of the user's own.
 ///
 /// # Errors
 ///
@@ -40,7 +41,7 @@ pub fn to_be_fitted(model: &Model) -> Result<Vec<Given>, ModelError> {
     given(&model.effects.iter().map(of).collect::<Vec<_>>())
 }
 
-/// The page of an effect as JSON: what it does, how it shows, what to do about it, its parameters.
+/// Returns the page of an effect as JSON: description, signature, remedy, parameters.
 pub fn page(e: &dyn Effect) -> serde_json::Value {
     let page = e.page();
     let parameters: Vec<_> = e
@@ -55,7 +56,7 @@ pub fn page(e: &dyn Effect) -> serde_json::Value {
     })
 }
 
-/// A model with the values of a fit. `camera`: whose size and bits it is given.
+/// Returns a model with the values of a fit. `camera`: source of its size and bit depth.
 pub fn with_fit(mut model: Model, all: &Observations, fitted: &Fitted, camera: Option<&CameraInfo>) -> Model {
     if let Some(camera) = camera {
         (model.camera.width, model.camera.height) = (camera.width as u32, camera.height as u32);
@@ -64,8 +65,8 @@ pub fn with_fit(mut model: Model, all: &Observations, fitted: &Fitted, camera: O
     let base = &fitted.base;
     model.base.gain_dn_per_e = base.gain_dn_per_e;
     model.base.read_noise_e = base.read_noise_e;
-    // The spread of the fit is that of all pixels, noisy ones included; of a log-normal read noise (Johnson, Kotz
-    // and Balakrishnan 1994, ch. 14).
+    // The fitted spread is that of all pixels, noisy ones included, under a log-normal read noise (Johnson,
+    // Kotz and Balakrishnan 1994, ch. 14).
     let pixels = all.pixel_noise.filter(|p| p.log_spread.is_finite());
     model.base.read_noise_log_spread =
         pixels.map_or(0.5 * base.read_noise_spread.max(0.0).ln_1p().sqrt(), |p| p.log_spread).min(2.0);
@@ -89,7 +90,7 @@ pub fn with_fit(mut model: Model, all: &Observations, fitted: &Fitted, camera: O
                 |v: &[f64]| e.parameters().iter().zip(v).map(|(p, v)| (p.name.to_string(), *v)).collect();
             let sound: Vec<f64> = errors.iter().map(|e| if e.is_finite() { *e } else { 0.0 }).collect();
             let known = model.effects.iter().find(|k| k.id == e.id() || k.name.as_deref() == Some(e.id()));
-            // An effect of formulas is written with them, so that the model is read without its file.
+            // Effects of formulas are written with them, so that the model can be read without its file.
             let known = known.filter(|k| !k.formulas.is_empty()).cloned();
             let known = known.or_else(|| e.written()).unwrap_or_else(|| EffectValues::new(e.id()));
             EffectValues { parameters: named(values), std_err: named(&sound), ..known }
@@ -98,28 +99,28 @@ pub fn with_fit(mut model: Model, all: &Observations, fitted: &Fitted, camera: O
     model
 }
 
-/// Reads a file of an effect of a user's own.
+/// Reads a file of a user's own effect.
 ///
 /// # Errors
 ///
-/// The file cannot be read, or which line, name, formula or bound cannot be understood.
+/// The file cannot be read, or a line, name, formula or bound (which is named) cannot be understood.
 pub fn own_effect(path: &Path) -> Result<OwnEffect, ModelError> {
     let in_file = |e: String| ModelError::Effect(format!("{}: {e}", path.display()));
     let text = crate::input::settings(path).map_err(|e| in_file(e.to_string()))?;
     OwnEffect::from_toml(&text).map_err(in_file)
 }
 
-/// Makes the effects of a folder known for as long as the program runs: models may name them, and a diagnosis
-/// tries them as well. Of the folder's files those are read whose names end in `.toml`.
+/// Registers the effects of a folder for the run of the program: models may name them, and a diagnosis tries
+/// them too. Only files whose names end in `.toml` are read.
 ///
 /// # Errors
 ///
-/// The folder cannot be read, or a file of it is no effect, or another effect has its name.
+/// The folder cannot be read, a file of it is no effect, or another effect has its name.
 pub fn register_own_effects(folder: &Path) -> Result<Vec<String>, ModelError> {
     own_files(folder)?.iter().map(|path| register_own_effect(path)).collect()
 }
 
-/// Makes the effect of a file known for as long as the program runs: its name.
+/// Registers the effect of a file for the run of the program, and returns its name.
 ///
 /// # Errors
 ///
@@ -136,14 +137,14 @@ pub fn register_own_effect(path: &Path) -> Result<String, ModelError> {
     Ok(own.name)
 }
 
-/// Verifies that a file is an effect by its name: it ends in `.toml`, and is no side file of macOS, which begins
-/// with a dot.
+/// Returns true if a file is an effect by its name, which ends in `.toml` and does not begin with a dot (side
+/// files of macOS do).
 pub fn is_own_file(path: &Path) -> bool {
     let name = path.file_name().map(|n| n.to_string_lossy());
     name.is_some_and(|n| n.ends_with(".toml") && !n.starts_with('.'))
 }
 
-/// Files of a folder that are effects by their names, in the order of these.
+/// Lists the files of a folder that are effects by their names, in order of name.
 ///
 /// # Errors
 ///

@@ -1,17 +1,19 @@
-//! Symmetric equations by Cholesky's factorisation (Golub and Van Loan 2013, section 4.2), as nalgebra has it.
+//! Symmetric equations by Cholesky's factorisation (Golub and Van Loan 2013, section 4.2), as implemented in
+//! nalgebra.
 
 use nalgebra::{Cholesky, DMatrix, DVectorViewMut, Dyn};
 
-/// The factor of a symmetric matrix.
+/// Factor of a symmetric matrix.
 #[derive(Debug, Clone)]
 pub struct Factor(Cholesky<f64, Dyn>);
 
-/// Where less than this part of a pivot is left, rounding alone says that there is any (2^-53 times the order of what is subtracted).
+/// Minimum pivot, relative to the diagonal element: a smaller one is due to rounding alone (2^-53 times the
+/// order of the subtracted terms).
 const ROUNDING: f64 = 1e-14;
 
 impl Factor {
-    /// Of a matrix, n x n, row by row, of which the lower triangle is read. `None` where an unknown depends on those before it, or an entry is
-    /// no number.
+    /// Factorises a matrix, n x n, row by row, of which the lower triangle is read. `None` if an unknown
+    /// depends on those before it, or an entry is NaN.
     pub fn of(a: &[f64], n: usize) -> Option<Self> {
         let factor = Cholesky::new(DMatrix::from_row_slice(n, n, a))?;
         let pivots = factor.l_dirty().diagonal();
@@ -25,12 +27,12 @@ impl Factor {
         self.0.solve_mut(&mut DVectorViewMut::from_slice(b, n));
     }
 
-    /// The logarithm of the determinant.
+    /// Returns the logarithm of the determinant.
     pub fn ln_determinant(&self) -> f64 {
         self.0.ln_determinant()
     }
 
-    /// The inverse, row by row.
+    /// Returns the inverse, row by row.
     pub fn inverse(&self) -> Vec<f64> {
         self.0.inverse().as_slice().to_vec()
     }

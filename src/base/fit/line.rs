@@ -1,35 +1,35 @@
-//! Weighted straight line: the appendix of the paper (eq. 59 to 67; the scan lacks part of it).
+//! Weighted straight line: appendix of the paper (eq. 59 to 67; the scan lacks part of it).
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// A fitted line y = slope x + intercept.
+/// Fitted line y = slope x + intercept.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Line {
-    /// A of eq. (41).
+    /// Slope, A of eq. (41).
     pub slope: f64,
-    /// sigma_C^2 of eq. (41).
+    /// Intercept, sigma_C^2 of eq. (41).
     pub intercept: f64,
     /// Variance of the slope, S / D.
     pub var_slope: f64,
     /// Variance of the intercept, S_xx / D.
     pub var_intercept: f64,
-    /// Covariance of the two, -S_x / D.
+    /// Covariance of slope and intercept, -S_x / D.
     pub covariance: f64,
     /// Weighted sum of squared residuals.
     pub chi2: f64,
-    /// Points minus two.
+    /// Degrees of freedom: number of points minus two.
     pub dof: usize,
 }
 
 impl Line {
-    /// The line at x.
+    /// Returns the value of the line at x.
     pub fn at(&self, x: f64) -> f64 {
         self.slope * x + self.intercept
     }
 }
 
-/// Fits y = slope x + intercept to points (x, y, variance of y). `None` where two different x with positive,
-/// finite variances are not there.
+/// Fits y = slope x + intercept to points (x, y, variance of y). `None` unless there are two different x with
+/// positive, finite variances.
 pub fn fit(points: impl Iterator<Item = (f64, f64, f64)> + Clone) -> Option<Line> {
     let sound = points.filter(|(x, y, v)| x.is_finite() && y.is_finite() && v.is_finite() && *v > 0.0);
     let (mut s, mut sx, mut sy, mut n) = (0.0, 0.0, 0.0, 0);
@@ -43,7 +43,7 @@ pub fn fit(points: impl Iterator<Item = (f64, f64, f64)> + Clone) -> Option<Line
     if n < 2 {
         return None;
     }
-    // About the weighted mean of x the normal equations come apart, and rounding stays small.
+    // About the weighted mean of x the normal equations decouple, and rounding stays small.
     let (mx, my) = (sx / s, sy / s);
     let (mut txx, mut txy) = (0.0, 0.0);
     for (x, y, variance) in sound.clone() {
@@ -68,8 +68,8 @@ pub fn fit(points: impl Iterator<Item = (f64, f64, f64)> + Clone) -> Option<Line
     })
 }
 
-/// Q(chi2 | dof), eq. (67): the probability that chance alone gives a larger chi-square. NaN for no degrees
-/// of freedom.
+/// Returns Q(chi2 | dof), eq. (67): the probability that chance alone gives a larger chi-square. NaN for no
+/// degrees of freedom.
 ///
 /// ```
 /// // Section VII.A of the paper.

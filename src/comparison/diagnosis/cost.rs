@@ -17,8 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::sensor::NOT_DETERMINED;
 
-/// Relative errors of three results where an effect is left out of account; 0 where this campaign does not
-/// tell.
+/// Relative errors of three results if an effect is ignored; 0 if this campaign does not tell.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Cost {
@@ -34,7 +33,7 @@ pub struct Cost {
 }
 
 impl Cost {
-    /// The largest of the three.
+    /// Returns the largest of the three.
     pub fn largest(&self) -> f64 {
         let of = |rel: f64| if rel.is_finite() { rel.abs() } else { 0.0 };
         of(self.gain_rel).max(of(self.read_noise_rel)).max(of(self.linearity_rel))
@@ -49,7 +48,7 @@ struct Plain {
     linearity: f64,
 }
 
-/// Weighted line y = a + b x: (a, b).
+/// Fits the weighted line y = a + b x; returns (a, b).
 fn line(points: impl Iterator<Item = (f64, f64, f64)> + Clone) -> Option<(f64, f64)> {
     let sum = |of: &dyn Fn(f64, f64) -> f64| points.clone().map(|(x, y, w)| w * of(x, y)).sum::<f64>();
     let (n, sx, sy) = (sum(&|_, _| 1.0), sum(&|x, _| x), sum(&|_, y| y));
@@ -60,7 +59,7 @@ fn line(points: impl Iterator<Item = (f64, f64, f64)> + Clone) -> Option<(f64, f
 }
 
 impl Plain {
-    /// Built from a value for every observable.
+    /// Computes the estimates from a value for every observable.
     fn of(all: &Observations, values: impl Fn(usize) -> f64) -> Option<Self> {
         let sets = all.campaign.sets.len();
         let (mut means, mut variances) = (vec![(0.0, 0.0); sets], vec![(0.0, 0.0); sets]);
@@ -79,7 +78,7 @@ impl Plain {
         let darks: Vec<usize> =
             (0..sets).filter(|s| all.kinds[*s] == Kind::Dark && means[*s].1 > 0.0).collect();
         let exposure = |set: usize| all.campaign.sets[set].exposure_s;
-        // Mean and variance of the darks at an exposure: on a line, or the same at all. Rounding may hide the
+        // Mean or variance of the darks at an exposure: a line, or a constant. Rounding may hide the
         // variance.
         let of_darks = |darks: &[usize], of_set: &dyn Fn(usize) -> f64| {
             let alone = darks.iter().map(|s| of_set(*s)).sum::<f64>() / darks.len().max(1) as f64;
@@ -138,7 +137,7 @@ impl Plain {
         Some(Self { gain_dn_per_e, dark_noise_e, linearity })
     }
 
-    /// Of a model with these effects.
+    /// Computes the estimates from a model with these effects.
     fn of_model(all: &Observations, fitted: &Fitted, effects: &Effects) -> Option<Self> {
         let list: Vec<(&dyn Effect, &[f64])> =
             effects.iter().map(|(e, p)| (*e as &dyn Effect, p.as_slice())).collect();
@@ -147,7 +146,7 @@ impl Plain {
         Self::of(all, |i| expected[i].value)
     }
 
-    /// Errors of this estimate, where `right` is the right one.
+    /// Returns the errors of this estimate relative to the right one.
     fn against(&self, right: &Self) -> Cost {
         let rel = |a: f64, b: f64| if b > 0.0 && a.is_finite() { a / b - 1.0 } else { 0.0 };
         Cost {
@@ -158,26 +157,26 @@ impl Plain {
     }
 }
 
-/// Cost of leaving an effect of a model out of account.
+/// Computes the cost of ignoring an effect of a model.
 pub(super) fn of_effect(all: &Observations, whole: &Fitted, id: &str) -> Cost {
     without(all, whole, whole.effects.iter().filter(|(e, _)| e.id() != id).cloned().collect())
 }
 
-/// Cost of leaving the last effects of a model out of account: `kept` stay.
+/// Computes the cost of ignoring the last effects of a model; the first `kept` stay.
 pub(super) fn of_last(all: &Observations, whole: &Fitted, kept: usize) -> Cost {
     without(all, whole, whole.effects.iter().take(kept).cloned().collect())
 }
 
-/// Cost of leaving out of a model all but the effects `rest`.
+/// Computes the cost of ignoring all effects of a model but `rest`.
 fn without(all: &Observations, whole: &Fitted, rest: Effects) -> Cost {
     let both = Plain::of_model(all, whole, &whole.effects).zip(Plain::of_model(all, whole, &rest));
     let cost = both.map_or_else(Cost::default, |(with, without)| with.against(&without));
-    // Beside noise of single pixels that is next to none no share of it means anything.
+    // A relative error is meaningless if the noise of single pixels is next to none.
     let known = whole.base_std_err[1] < NOT_DETERMINED * whole.base.read_noise_e;
     Cost { read_noise_rel: if known { cost.read_noise_rel } else { 0.0 }, ..cost }
 }
 
-/// Cost of the remainder: measured means and variances against those that the model expects.
+/// Computes the cost of the remainder: measured means and variances against those that the model expects.
 pub(super) fn of_remainder(all: &Observations, whole: &Fitted) -> Cost {
     let both =
         Plain::of(all, |i| all.list[i].measured.value).zip(Plain::of_model(all, whole, &whole.effects));

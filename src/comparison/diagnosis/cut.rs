@@ -9,16 +9,16 @@ use radcam_sim::effects::find;
 use radcam_sim::predict::{BaseParameters, SetInfo};
 use std::collections::BTreeSet;
 
-/// Share of the samples of a dark that fall below code 0 from which on a black level is too low (a named
-/// choice: cut off at 2.9 deviations, the noise's variance loses half a per cent).
+/// Minimum share of a dark's samples below code 0 for a black level that is too low (a named choice: cut off
+/// at 2.9 deviations, the noise's variance loses half a per cent).
 const CUT_OFF: f64 = 0.002;
 
-/// The effect that cuts noise off below a code.
+/// Identifier of the effect that cuts noise off below a code.
 pub(super) const CUT: &str = "black-clipping";
 /// Its parameters for code 0.
 const AT_CODE_0: [f64; 2] = [0.0, 1.0];
 
-/// A model with noise below code 0 cut off.
+/// Adds the cut-off of noise below code 0 to a model, and fits it.
 pub(super) fn with_cut(all: &Observations, model: &Fitted) -> Fitted {
     let mut effects = model.effects.clone();
     effects.extend(find(CUT).map(|e| (e, AT_CODE_0.to_vec())));
@@ -31,8 +31,8 @@ pub(super) struct CutOff {
     pub model: Fitted,
     /// Largest share of a dark's samples below code 0.
     share: f64,
-    /// Twice the logarithm of the likelihood ratio: of the samples that the model expects below code 0 none
-    /// is there (Poisson).
+    /// Twice the logarithm of the likelihood ratio: the model expects samples below code 0, and there are
+    /// none (Poisson).
     evidence: f64,
 }
 
@@ -47,8 +47,8 @@ impl std::fmt::Display for CutOff {
 }
 
 impl CutOff {
-    /// Cut-off of a campaign under a model; none for a camera that states that it has no black level, and
-    /// cuts by design.
+    /// Returns the cut-off of a campaign under a model; none for a camera that states that it has no black
+    /// level, and cuts by design.
     pub fn of(all: &Observations, model: &Fitted) -> Option<Self> {
         let has_it = model.effects.iter().any(|(e, _)| e.id() == CUT);
         if !all.campaign.from_code_0 || all.no_black_level || has_it || !model.base.cut_at_0 {
@@ -62,7 +62,7 @@ impl CutOff {
             0.5 * libm::erfc((level_dn + 0.5) / deviation * std::f64::consts::FRAC_1_SQRT_2)
         };
         let shares: Vec<f64> = all.campaign.sets.iter().map(below).collect();
-        // Darks that were left out are in the campaign as what was exposed, and were not counted.
+        // Darks that were left out stay in the campaign as exposed frames, but were not counted.
         let counted: BTreeSet<usize> = all.of(&mean::Mean).filter_map(|o| o.set).collect();
         let is_dark = |set: &usize| all.kinds[*set] == Kind::Dark && counted.contains(set);
         let share = (0..shares.len()).filter(is_dark).map(|set| shares[set]).fold(0.0, f64::max);

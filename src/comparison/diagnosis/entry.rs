@@ -7,7 +7,7 @@ use crate::number::Quantity;
 use radcam_sim::effects::{Effect, Parameter, Seen};
 use std::collections::BTreeMap;
 
-/// An effect of a model with its values.
+/// Describes an effect of a model with its values.
 pub(super) fn describe(
     fitted: &Fitted,
     effect: &'static dyn Effect,
@@ -33,7 +33,8 @@ pub(super) fn describe(
     }
 }
 
-/// The parameters of an effect of a model; what only a combination tells stands as that combination.
+/// Returns the parameters of an effect of a model. Parameters that only a combination tells are replaced by
+/// that combination.
 fn parameters(fitted: &Fitted, at: usize, seen: &Seen) -> BTreeMap<String, Quantity> {
     let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
     let used = effect.parameters().iter().enumerate().filter(|(k, _)| effect.uses(values, *k));
@@ -47,12 +48,12 @@ fn parameters(fitted: &Fitted, at: usize, seen: &Seen) -> BTreeMap<String, Quant
     };
     let mut out: BTreeMap<String, Quantity> = used.map(own).collect();
     let Some(t) = effect.together(values) else { return out };
-    // Neighbours tell the parts of a combination apart; without them how it splits moves it, by the brightest
-    // signal.
+    // Neighbour covariances tell the parts of a combination apart. Without them the unknown split moves it,
+    // by the brightest signal.
     let split = (!seen.neighbours).then_some(seen.peak_e);
     let std_err = fitted.std_err_of(at, &t).hypot(t.unsure_per_e * split.unwrap_or(0.0));
     let of: Vec<usize> = (0..values.len()).filter(|k| t.slopes[*k] != 0.0).collect();
-    // Each alone is known ten times worse, of its own size, than all of them together.
+    // Each alone is known ten times worse, relative to its size, than all of them together.
     let alone = of.iter().map(|&k| errors[k] / values[k].abs().max(1e-300)).fold(f64::INFINITY, f64::min);
     if split.is_some() || std_err / t.value.abs().max(1e-300) < 0.1 * alone {
         of.iter().for_each(|k| {
@@ -64,8 +65,8 @@ fn parameters(fitted: &Fitted, at: usize, seen: &Seen) -> BTreeMap<String, Quant
     out
 }
 
-/// Unit in which a value of this unit is said, and how many of it there are: where nothing tells the gain
-/// electrons are codes.
+/// Returns the factor and the unit in which a value is reported: electrons are codes if nothing tells the
+/// gain.
 fn in_dn(fitted: &Fitted, unit: &'static str) -> (f64, &'static str) {
     match unit {
         "e" if !tells_gain(fitted) => (fitted.base.gain_dn_per_e, "DN"),
@@ -74,7 +75,8 @@ fn in_dn(fitted: &Fitted, unit: &'static str) -> (f64, &'static str) {
     }
 }
 
-/// The statistics that deviate without an effect and are mended with it, worst first, and what the effect does.
+/// Returns the statistics that deviate without an effect and are mended with it, worst first, and the
+/// signature of the effect.
 pub(super) fn reasons(without: &[Residual], with: &[Residual], effect: &dyn Effect) -> Vec<String> {
     let deviations = signatures(without);
     let left = signatures(with);

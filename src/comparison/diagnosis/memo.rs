@@ -1,4 +1,5 @@
-//! Fits that a search has made: a search that is made again without some effects makes most of them once more.
+//! Cache of the fits of a search: a search that is repeated without some effects makes most of them once
+//! more.
 
 use crate::inference::{Effects, Fitted, fit_near};
 use crate::observables::Observations;
@@ -6,13 +7,13 @@ use radcam_sim::predict::BaseParameters;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-/// Memory for fits that are kept, bytes.
+/// Maximum memory of the cached fits, bytes.
 const MOST_BYTES: usize = 256 << 20;
 
 /// Everything that a fit depends on, as bits.
 pub(super) type Key = Vec<u64>;
 
-/// Bits of a model: the place of a fit tells its slopes too.
+/// Returns the bits of a model: the point of a fit also tells its slopes.
 pub(super) fn key(model: &Fitted) -> Key {
     let mut key = of_base(&model.base);
     key.push(model.objective.to_bits());
@@ -37,7 +38,7 @@ fn of_base(base: &BaseParameters) -> Key {
     all.into_iter().map(f64::to_bits).collect()
 }
 
-/// Bits of effects with their values.
+/// Returns the bits of effects with their values.
 pub(super) fn of_effects(effects: &Effects) -> impl Iterator<Item = u64> + '_ {
     effects.iter().flat_map(|(e, values)| {
         let id = e.id().bytes().fold(7u64, |h, b| h.wrapping_mul(1_099_511_628_211) ^ u64::from(b));
@@ -45,7 +46,7 @@ pub(super) fn of_effects(effects: &Effects) -> impl Iterator<Item = u64> + '_ {
     })
 }
 
-/// Fits by what they depend on.
+/// Cached fits by key.
 #[derive(Default)]
 pub(super) struct Memo(Mutex<Kept>);
 
@@ -56,7 +57,7 @@ struct Kept {
 }
 
 impl Memo {
-    /// The fits of a key, made where they are not known.
+    /// Returns the fits of a key, and makes them if they are not known.
     pub fn fits(&self, key: Key, make: impl FnOnce() -> Vec<Fitted>) -> Vec<Fitted> {
         let kept = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = kept().fits.get(&key) {
@@ -72,7 +73,7 @@ impl Memo {
         made
     }
 
-    /// A fit as of [`fit_near`].
+    /// Returns the cached fit as of [`fit_near`].
     pub fn near(&self, all: &Observations, near: &Fitted, effects: &Effects) -> Fitted {
         let mut key = key(near);
         key.extend(of_effects(effects));

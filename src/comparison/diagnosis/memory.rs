@@ -1,16 +1,17 @@
-//! First frames that follow the level of the set before: what looks like scatter from frame to frame is memory.
+//! Test of memory: first frames that follow the level of the set before look like scatter from frame to
+//! frame.
 
 use crate::observables::Observations;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Share of the squares of the first frames' deviations from which on they follow the level before (a named
+/// Minimum share of the squared deviations of the first frames that follows the level before (a named
 /// choice).
 const FOLLOWS: f64 = 0.8;
-/// Chance of that share under independent deviations, below which they are none (a named choice: the same share
-/// of few steps says little).
+/// Maximum chance of that share under independent deviations (a named choice: the same share of few steps
+/// says little).
 const BY_CHANCE: f64 = 1.0 / 300.0;
-/// Least part of the squares of the steps that is left beside the level, and root mean square of the steps over
-/// the largest level (named choices).
+/// Minimum part of the squared steps that does not follow the level, and minimum root mean square of the
+/// steps over the largest level (named choices).
 const LEAST_OF_STEPS: f64 = 0.05;
 const LEAST_STEP: f64 = 0.05;
 
@@ -24,7 +25,8 @@ struct First {
     off_dn: f64,
 }
 
-/// Returns true if most of the scatter of frames within their sets is what first frames have of the level before.
+/// Returns true if first frames that follow the level before explain most of the scatter of frames within
+/// their sets.
 pub fn is_memory(all: &Observations) -> bool {
     let mut is_known = vec![false; all.frame_means_dn.len()];
     let mut order: Vec<usize> = Vec::new();
@@ -44,7 +46,7 @@ pub fn is_memory(all: &Observations) -> bool {
     follow(&firsts.collect::<Vec<First>>())
 }
 
-/// Returns numbers less their line over others.
+/// Returns the residuals of a straight line over other numbers.
 fn beside(values: &[f64], over: &[f64]) -> Vec<f64> {
     let n = values.len().max(1) as f64;
     let mean = |of: &[f64]| of.iter().sum::<f64>() / n;
@@ -55,8 +57,8 @@ fn beside(values: &[f64], over: &[f64]) -> Vec<f64> {
     values.iter().zip(over).map(|(v, o)| v - of_values - slope * (o - of_over)).collect()
 }
 
-/// Returns true if the deviations go with the steps beside a line over the level, which a lamp that starts dim
-/// makes: by their share, and by Student's t, with as many steps as count like the largest (Kish 1965, Survey
+/// Returns true if the deviations follow the steps beside a line over the level, which a lamp that starts dim
+/// makes. Criteria: their share, and Student's t with the effective number of steps (Kish 1965, Survey
 /// Sampling, 8.2). In a sweep with equal steps they are the same and tell nothing.
 fn follow(firsts: &[First]) -> bool {
     let of = |value: fn(&First) -> f64| firsts.iter().map(value).collect::<Vec<f64>>();
@@ -82,9 +84,9 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Flicker, a lamp that starts dim, and a drift are taken for memory in at most 1 % of 3000 campaigns of 8
-    /// and of 13 levels in any order, ascending, and at one level; lag of twenty times the flicker is in more
-    /// than half of 300 of 13 levels in any order.
+    /// At most 1 % of 3000 campaigns with flicker, a lamp that starts dim, or a drift are taken for memory: 8
+    /// and 13 levels in any order, ascending, and at one level. Lag of twenty times the flicker is found in
+    /// at least half of 300 campaigns of 13 levels in any order.
     #[test]
     fn lag_is_told_from_flicker() {
         let taken = |n: usize, order: usize, campaigns: u32, [lag, flicker, dim]: [f64; 3]| {

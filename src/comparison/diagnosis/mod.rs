@@ -1,5 +1,5 @@
-//! Which physical effects are missing: effects are added as long as the evidence pays for them, and listed by
-//! their share of the misfit, with what they cost the user. What is left has a share of its own.
+//! Missing physical effects: effects are added as long as the evidence pays for them, and listed by their
+//! share of the misfit, with what they cost the user. The remainder has a share of its own.
 
 mod cost;
 mod cut;
@@ -55,92 +55,93 @@ use share::{MATTERS, Place, place_of_unknown, remainder, shares};
 use std::collections::{BTreeMap, BTreeSet};
 use turns::in_turns;
 
-/// Candidates within this evidence of the best cannot be told apart.
+/// Maximum difference in evidence of candidates that cannot be told apart.
 const TIE: f64 = 6.0;
-/// Error from which on a fit says little of the parameters.
+/// Error above which a fit says little of the parameters.
 const FAR: f64 = 3.0;
-/// Chance below which what is left over with all names is there, and is said.
+/// Chance below which a remainder with all names in the model is significant, and reported.
 const HOLDS: f64 = 0.01;
-/// Evidence that names need together where the model as given holds: four standard errors, of whose 16 some 7
-/// are the price of a parameter. A named choice: of 400 clean cameras three raise an alarm, and of those in
-/// which outsiders hid something no more are named wrongly than with 20, at which a third of what stands at
-/// five standard errors has no name (docs/CONFUSION.md).
+/// Minimum joint evidence of names if the given model holds: four standard errors, of whose 16 some 7 are the
+/// price of a parameter. A named choice: three of 400 clean cameras raise an alarm. Of those in which
+/// outsiders hid something, no more are named wrongly than with 20, at which a third of the effects at five
+/// standard errors has no name (docs/CONFUSION.md).
 const TRACE: f64 = 9.0;
-/// Least decrease of the error that a single addition must bring.
+/// Minimum decrease of the error by a single addition.
 const HELPS: f64 = 1e-3;
-/// Names that are given as the nearest of what has none.
+/// Maximum number of names that are listed as the nearest of a nameless effect.
 const NEAREST: usize = 3;
 
-/// What is missing.
+/// A missing effect.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Missing {
     /// Identifier; `unknown` where none of the effects explains it.
     pub effect: String,
-    /// Share of the evidence among all candidates and what has no name; of `unknown`, where no name holds,
+    /// Share of the evidence among all candidates and the nameless model. For `unknown`, if no name holds:
     /// one less the chance of such residuals.
     pub confidence: f64,
     /// Share of the misfit (square of the error above the noise) that goes with it.
     pub share: f64,
-    /// Errors that the results of the same frames have where it is left out of account.
+    /// Errors of the results of the same frames if the effect is ignored.
     pub cost: Cost,
-    /// How far the error falls on the rung of the ladder that adds it.
+    /// Drop of the error on the rung of the ladder that adds it.
     pub error_drop: f64,
     /// Its parameters.
     pub parameters: BTreeMap<String, Quantity>,
-    /// Which of its forms, in words.
+    /// Form in words.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub form: Option<String>,
-    /// Another form that this campaign does not tell from it; `cost` is that of the one that costs more.
+    /// Another form that this campaign does not tell from it; `cost` is that of the costlier one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub or_form: Option<String>,
-    /// True where the camera behaves mostly like this effect, and is not quite that.
+    /// True if the camera behaves mostly like this effect, but not quite.
     pub partial: bool,
-    /// Of `unknown`: the names that come nearest.
+    /// Nearest names, for `unknown`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nearest: Vec<String>,
-    /// What it is tied with: this campaign cannot tell them apart.
+    /// Effect that this campaign cannot tell from it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tied_with: Option<String>,
-    /// Why.
+    /// Reasons in words.
     pub evidence: Vec<String>,
-    /// Of `unknown`: why the nearest name is not right, where the campaign contradicts it.
+    /// Reason against the nearest name, for `unknown`, if the campaign contradicts it.
     #[serde(skip)]
     pub doubt: Option<String>,
-    /// True of a bend below the dimmest flat: darks of another black level or gain than the flats look the same.
+    /// True for a bend below the dimmest flat: darks of another black level or gain than the flats look the
+    /// same.
     #[serde(skip)]
     pub by_the_darks_alone: bool,
 }
 
-/// A rung.
+/// A rung of the ladder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Rung {
-    /// What was added; null for the model as given.
+    /// Added effect; null for the model as given.
     pub added: Option<String>,
-    /// Error on frames that the fit did not see.
+    /// Error on held-out frames.
     pub error: f64,
     /// Chance of such residuals.
     pub p_value: f64,
 }
 
-/// The whole answer.
+/// Result of a diagnosis.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Diagnosis {
-    /// In one plain sentence or two.
+    /// Verdict in one or two plain sentences.
     pub verdict: Verdict,
-    /// Whether the model as given describes the campaign.
+    /// True if the model as given describes the campaign.
     pub consistent: bool,
-    /// Its error.
+    /// Error of the model as given.
     pub error_before: f64,
     /// Error with all that was added.
     pub error_after: f64,
     /// The missing effects, the largest share of the misfit first.
     pub missing: Vec<Missing>,
-    /// What is left with all names; null where that is within the noise.
+    /// Remaining misfit with all names; null if it is within the noise.
     pub remainder: Option<Remainder>,
-    /// A law for what has no name; null where all has one, or none is found.
+    /// Law for a nameless effect; null if all have names, or no law is found.
     pub proposal: Option<Proposal>,
     /// Gain, read noise and dark current with all effects in the model.
     #[serde(flatten)]
@@ -148,19 +149,19 @@ pub struct Diagnosis {
     /// Features of the camera that changed pixel values: the first suspects.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_on: Vec<LeftOn>,
-    /// The ladder.
+    /// Ladder of models.
     pub ladder: Vec<Rung>,
-    /// The one measurement that would tell the closest candidates apart.
+    /// Measurement that would tell the closest candidates apart.
     pub next_measurement: Option<String>,
-    /// That measurement as a plan.
+    /// Plan of that measurement.
     #[serde(skip)]
     pub next_plan: Option<Plan>,
     /// Faults of the data.
     #[serde(default)]
     pub data_faults: Vec<DataFault>,
-    /// What could not be looked at, and what is left over.
+    /// Items that could not be tested, and what is left over.
     pub notes: Vec<String>,
-    /// The last model.
+    /// Last model.
     #[serde(skip)]
     pub fitted: Option<Fitted>,
     /// Comparisons of the first and the last model.
@@ -168,8 +169,8 @@ pub struct Diagnosis {
     pub comparisons: Vec<Comparison>,
 }
 
-/// Looks for what a model lacks. `base` and `effects` are the model as given; without a base the campaign's
-/// own is taken.
+/// Searches for effects missing from the given model (`base`, `effects`); without a base the campaign's own
+/// is taken.
 pub fn diagnose(
     all: &Observations,
     base: Option<BaseParameters>,
@@ -178,8 +179,7 @@ pub fn diagnose(
 ) -> Diagnosis {
     let base = base.unwrap_or_else(|| start(all));
     let cut = fit(all, &base, &effects);
-    // Codes end at 0: where noise reaches below, it is cut off for certain, and the search goes on from
-    // there.
+    // Codes end at 0: noise that reaches below is certainly cut off, and the search goes on from there.
     let cut_off = CutOff::of(all, &cut);
     let (mut model, start) = match &cut_off {
         Some(open) => (open.model.clone(), with_cut(all, &open.model)),
@@ -188,13 +188,13 @@ pub fn diagnose(
     let mut first = compare(all, &model);
     progress(&format!("error {:.2}", first.error));
     let mut found = search(all, &start, first.error > FAR, progress);
-    // A fit that ended in a shallow minimum is no evidence for what led out of it.
+    // A fit that ended in a shallow minimum is no evidence for the effects that led out of it.
     if let Some(deeper) = deeper(all, &model, &found.fitted).filter(|_| cut_off.is_none()) {
         tracing::debug!("objective {:.1} without effects, was {:.1}", deeper.objective, model.objective);
         (first, model) = (compare(all, &deeper), deeper);
         found = search(all, &model, first.error > FAR, progress);
     }
-    // Evidence speaks for what was given up as for what holds.
+    // Evidence supports the models that were given up as it does those that hold.
     let mut given_up: Vec<Fitted> = found.given_up.into_iter().collect();
     let (mut parts, mut whole, mut last) =
         parts(all, &model, found.fitted, found.first, &first, &mut given_up);
@@ -204,8 +204,8 @@ pub fn diagnose(
         notes.extend(parts.iter().map(trace));
         (parts, whole, last) = (Vec::new(), model.clone(), first.clone());
     }
-    // Samples that the range of the codes cuts off are evidence, though a lower read noise fits the darks as
-    // well.
+    // Samples that the range of the codes cuts off are evidence, though a lower read noise fits the darks
+    // equally well.
     if let Some(cut_off) = &cut_off {
         if parts.iter().all(|p| p.effect.id() != CUT) {
             whole = with_cut(all, &whole);
@@ -236,7 +236,7 @@ pub fn diagnose(
             m.evidence.insert(0, cut_off.to_string());
         }
     }
-    // The note on smear is kept where smear, or what looks like it, is named.
+    // The note on smear is kept if smear, or an effect that looks like it, is named.
     if missing.iter().all(|m| !["smear", "exposure-offset", "unknown"].contains(&m.effect.as_str())) {
         notes.retain(|note| note != NO_PATCH);
     }
@@ -245,8 +245,8 @@ pub fn diagnose(
     }
     let mut next = next_measurement(all, &parts, &missing);
     let mut alternatives = equally_good(&parts, &forms, &whole);
-    // `unknown` first puts all names in doubt, and so do darks that may be off: the values without them are as
-    // good.
+    // `unknown` in the first place puts all names in doubt, and so do darks that may be off: the values
+    // without the names are equally good.
     if missing.first().is_some_and(|m| m.effect == "unknown" || m.by_the_darks_alone) {
         alternatives.push(&model);
     }
@@ -265,13 +265,13 @@ pub fn diagnose(
     if let (Some(measure), Some((about, _))) = (of_law, next.as_mut()) {
         *about = measure;
     }
-    // Values are those of the model with a law that holds.
+    // The values are those of the model with a law, if the law holds.
     let with_law = proposal.as_ref().filter(|p| p.holds()).and_then(|p| Some((p, p.fitted.as_ref()?)));
     let sensor = match with_law {
         Some((law, fitted)) => {
             law.say_in(&mut missing);
-            // Names that hold as well have values of their own, names that stay have their ties, and several laws
-            // may follow what another one would say with another gain.
+            // Names that hold as well have values of their own, names that stay have their ties, and several
+            // laws may describe what another one would describe with another gain.
             let mut others = if law.beside.is_empty() { Vec::new() } else { alternatives };
             others.extend((last.p_value >= DOUBT).then_some(&whole));
             others.extend(law.has_several().then_some(&model));
@@ -303,14 +303,14 @@ pub fn diagnose(
     }
 }
 
-/// Signal of the dimmest flat, DN; infinite without flats.
+/// Returns the signal of the dimmest flat, DN; infinite without flats.
 fn dimmest_signal_dn(all: &Observations, whole: &Fitted) -> f64 {
     let is_lit = |set: usize| all.campaign.sets[set].light.is_some();
     let lit = all.of(&mean::Mean).filter(|o| o.set.is_some_and(is_lit));
     lit.map(|o| o.measured.value - whole.base.offset_dn).fold(f64::INFINITY, f64::min)
 }
 
-/// Fits the given model from where a search ended, if that is the larger part of what was gained.
+/// Fits the given model from the end of a search; returns it if that is the larger part of the gain.
 fn deeper(all: &Observations, model: &Fitted, found: &Fitted) -> Option<Fitted> {
     let has_more = found.effects.len() > model.effects.len();
     let again = has_more.then(|| fit(all, &found.base, &model.effects))?;
@@ -318,7 +318,7 @@ fn deeper(all: &Observations, model: &Fitted, found: &Fitted) -> Option<Fitted> 
     (model.objective - again.objective > NEEDED.max(0.5 * gained)).then_some(again)
 }
 
-/// What was left on in the camera and acts like an effect; of `unknown` everything.
+/// Names the camera features left on that act like an effect; for `unknown` all of them.
 fn suspects(effect: &str, left_on: &[LeftOn]) -> Option<String> {
     let acts = |l: &&LeftOn| effect == "unknown" || l.acts_like.iter().any(|id| id == effect);
     let names: Vec<String> = left_on.iter().filter(acts).map(ToString::to_string).collect();
@@ -326,9 +326,9 @@ fn suspects(effect: &str, left_on: &[LeftOn]) -> Option<String> {
         .then(|| format!("{} was left on in the camera and may be all there is to it", names.join(", ")))
 }
 
-/// The entries of the answer, the largest share first, each with what ties with it; `unknown` first where
-/// names are the smaller part or wrong, and last where what is left matters. `law`: what explains the campaign
-/// better than all names.
+/// Builds the entries of the answer, the largest share first, each followed by its ties. `unknown` is first
+/// if names are the smaller part or wrong, and last if the remainder matters. `law`: sentence on laws that
+/// explain the campaign better than all names.
 fn missing(
     all: &Observations,
     parts: &[Part],
@@ -402,12 +402,12 @@ fn missing(
     out
 }
 
-/// Share of the misfit from which on what costs most stands first, the least such cost, and its least ratio
-/// to that of the largest share (named choices: what costs less is below the per cent that EMVA 1288 asks
-/// for).
+/// Minimum share of the misfit, minimum cost, and minimum ratio of the cost to that of the largest share, for
+/// an effect to be moved to the front (named choices: a smaller cost is below the per cent that EMVA 1288
+/// asks for).
 const COSTLY: (f64, f64, f64) = (0.1, 0.01, 5.0);
 
-/// Moves what costs the user far more than the largest share does to the front, with what ties with it.
+/// Moves the effect that costs far more than the largest share to the front, with its ties.
 fn costliest_first(out: &mut [Missing]) {
     let Some(first) = out.first().map(|m| m.cost.largest()) else { return };
     let is_costly = |m: &Missing| {
@@ -425,12 +425,13 @@ fn costliest_first(out: &mut [Missing]) {
     out[..=k + ties].rotate_right(1 + ties);
 }
 
-/// What levels and light say against a bend of the means, or that they do not tell it from noise.
+/// Returns the evidence of levels and light against a bend of the means, or that they do not tell it from
+/// noise.
 fn straight(all: &Observations, part: &Part, whole: &Fitted) -> Option<String> {
     if !part.effect.bends_means() || all.means_given {
         return None;
     }
-    // Squares and errors of the noise; the rest of the objective is that of levels, profiles and light.
+    // Squares and log errors of the noise; the rest of the objective is that of levels, profiles and light.
     let is_level = |r: &&Residual| {
         r.statistic == LineProfile.id() || STATISTICS.iter().any(|s| s.is_level() && s.id() == r.statistic)
     };
@@ -451,7 +452,7 @@ fn straight(all: &Observations, part: &Part, whole: &Fitted) -> Option<String> {
             part.effect.id()
         ));
     }
-    // Noise of any kind adds to the variance; only a curve takes from it.
+    // Noise of any kind adds to the variance; only a curve lowers it.
     (cost::of_effect(all, whole, part.effect.id()).gain_rel > 0.0).then(|| {
         format!(
             "the noise grows with the signal faster than photons make it, as {} makes it and other noise too: flats at one light and several \
@@ -461,10 +462,11 @@ fn straight(all: &Observations, part: &Part, whole: &Fitted) -> Option<String> {
     })
 }
 
-/// Flats beyond those whose light is open from which on a bend shows in the means: a line takes two.
+/// Minimum number of flats, beyond those whose light is open, for a bend to show in the means: a line takes
+/// two.
 const LEAST_FLATS: usize = 3;
 
-/// Why a part is not what it is called, though it comes near all that is fitted.
+/// Returns the reason why a part is not the named effect, though it explains nearly all that is fitted.
 fn doubt(all: &Observations, part: &Part, whole: &Fitted, seen: &Seen, last: &Comparison) -> Option<String> {
     let at = whole.effects.iter().rposition(|(e, _)| e.id() == part.effect.id())?;
     let (effect, values) = &whole.effects[at];
@@ -480,15 +482,16 @@ fn doubt(all: &Observations, part: &Part, whole: &Fitted, seen: &Seen, last: &Co
     why.map(|why| format!("it is not {}: {why}", effect.id())).or_else(|| straight(all, part, whole))
 }
 
-/// The worst remaining deviation of the statistics that tell an effect from its look-alikes: planned tests,
-/// whose chance is not that of the worst of all. It must matter beside what the effect explains.
+/// Finds the worst remaining deviation of the statistics that tell an effect from its look-alikes. These are
+/// planned tests, whose chance is not that of the worst of all. The deviation must matter beside what the
+/// effect explains.
 fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<String> {
     let told_by = part.effect.told_by();
     let tells = |r: &&Residual| told_by.contains(&&*r.statistic) || told_by.contains(&r.observable.as_str());
     let told: Vec<Residual> = last.residuals.iter().filter(tells).cloned().collect();
-    // Each statistic as a whole, and flats and darks alone: what is the same without light is so with it.
+    // Each statistic as a whole, and flats and darks alone: a deviation without light is the same with it.
     let mut groups = by(&told, |r| {
-        // Tests of settings are asked for by name.
+        // Tests of settings are requested by name.
         if told_by.contains(&r.observable.as_str()) { &*r.observable } else { &*r.statistic }
     });
     let (flats, darks): (Vec<Residual>, Vec<Residual>) =
@@ -498,8 +501,8 @@ fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<Strin
         groups.extend(by(&darks, |r| &r.observable));
     }
     let worst = groups.iter().min_by(|a, b| a.chance.total_cmp(&b.chance))?;
-    // A scatter excuses what it does not explain: whether frames, or settings, scatter one by one is told by
-    // a statistic that knows no size.
+    // A scatter excuses what it does not explain. Only a statistic that is independent of its size tells
+    // whether frames, or settings, scatter independently.
     let is_scatter = part.effect.shown_by().is_some() || part.effect.sets_each();
     let matters = worst.excess >= MATTERS * part.evidence || is_scatter;
     if worst.chance * groups.len() as f64 >= HOLDS || !matters {
@@ -512,7 +515,7 @@ fn not_told(part: &Part, last: &Comparison, lit: &BTreeSet<u32>) -> Option<Strin
     Some(format!("{said} (p {})", chance(worst.chance)))
 }
 
-/// The one measurement that tells most, in words, and its sets.
+/// Returns the most informative next measurement in words, and its sets.
 fn next_measurement(
     all: &Observations,
     parts: &[Part],
@@ -533,8 +536,8 @@ fn next_measurement(
     })
 }
 
-/// The effects found, each by what it explains when it alone is left out, strongest first; the model with all
-/// of them, and how that holds.
+/// Returns the effects found, each by what it explains when it alone is left out, strongest first; the model
+/// with all of them, and its comparison.
 fn parts(
     all: &Observations,
     model: &Fitted,
@@ -557,8 +560,8 @@ fn parts(
             None => break (parts, last),
         }
     };
-    // A single addition that does not help on frames that no fit saw is none; but what is stated of the light
-    // is in no frame, and a lamp that scatters by more deviates from that alone.
+    // A single addition that does not help on held-out frames is dropped. The stated light is in no frame,
+    // however: a lamp that scatters by more deviates from that alone.
     if let [only] = parts.as_slice() {
         tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), last.error, before.error);
         let of_stated = only.effect.sets_each() && matches!(all.setting, Some(Setting::Stated(_)));
@@ -577,12 +580,13 @@ fn parts(
         part.others = if alone {
             first.iter().filter(|c| c.effect.id() != part.effect.id()).cloned().collect()
         } else if k > 0 && (part.better().is_some() || last.p_value < HOLDS) {
-            // Its name is in doubt anyway.
+            // The name is in doubt anyway.
             Vec::new()
         } else {
             rivals(all, &part.rest, part.effect, part.evidence)
         };
-        // Evidence also grows as errors become narrower: what has more of it, and does not hold, is no rival.
+        // Evidence also grows as errors become narrower: a candidate with more of it that does not hold is no
+        // rival.
         let evidence = part.evidence;
         part.others.retain(|c| c.evidence <= evidence || compare(all, &c.fitted).p_value >= HOLDS);
         tracing::debug!(
@@ -596,7 +600,7 @@ fn parts(
     (parts, whole, last)
 }
 
-/// What is too weak for a name.
+/// Describes an effect that is too weak for a name.
 fn trace(part: &Part) -> String {
     format!(
         "a trace of {} (evidence {:.0}): the model holds without it, and a name needs some four standard errors",
@@ -605,7 +609,7 @@ fn trace(part: &Part) -> String {
     )
 }
 
-/// The ladder: the parts added one by one, the strongest first.
+/// Builds the ladder: the parts added one by one, the strongest first.
 fn rungs(all: &Observations, model: &Fitted, parts: &[Part], whole: &Fitted, last: &Comparison) -> Vec<Rung> {
     let rung = |k: usize| {
         let added = Some(parts[k].effect.id().to_string());
@@ -616,7 +620,7 @@ fn rungs(all: &Observations, model: &Fitted, parts: &[Part], whole: &Fitted, las
         for part in &parts[..=k] {
             effects.extend(whole.effects.iter().find(|(e, _)| e.id() == part.effect.id()).cloned());
         }
-        // The last rung but one lacks what was left out of the whole for the last part.
+        // The last rung but one lacks only the last part: its `rest` is that model.
         let c = if k + 2 == parts.len() {
             compare(all, &parts[k + 1].rest)
         } else {
@@ -627,7 +631,7 @@ fn rungs(all: &Observations, model: &Fitted, parts: &[Part], whole: &Fitted, las
     (0..parts.len()).into_par_iter().map(rung).collect()
 }
 
-/// The parts as entries of the answer. `fitted`: what deviates with all of them.
+/// Builds the entries of the parts. `fitted`: residuals with all of them.
 fn named(
     parts: &[Part],
     whole: &Fitted,
@@ -639,7 +643,7 @@ fn named(
     let entry = |(k, part): (usize, &Part)| {
         let mut entry = describe(whole, part.effect, part.confidence(part.evidence), seen);
         entry.error_drop = ladder[k].error - ladder[k + 1].error;
-        // Of one that stands alone, on frames that no fit saw.
+        // A part that stands alone is compared on held-out frames.
         let [without, with] =
             if parts.len() == 1 { [&first.residuals, &last.residuals] } else { [&part.without, fitted] };
         entry.evidence = reasons(without, with, part.effect);
@@ -659,7 +663,7 @@ fn named(
     parts.iter().enumerate().map(entry).collect()
 }
 
-/// Behind each part what is tied with it.
+/// Lists each part, followed by its ties.
 fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, seen: &Seen) -> Vec<Missing> {
     let mut out = Vec::new();
     for (part, entry) in parts.iter().zip(named) {
@@ -681,7 +685,7 @@ fn with_ties(parts: &[Part], whole: &Fitted, named: Vec<Missing>, seen: &Seen) -
     out
 }
 
-/// What no name explains. `doubt`: why the first of them is not what it is called.
+/// Builds the entry for what no name explains. `doubt`: reason against the first name.
 fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Comparison) -> Missing {
     let strongest = parts.first();
     let better = strongest.and_then(Part::better);
@@ -722,7 +726,8 @@ fn unknown(parts: &[Part], doubt: Option<String>, first: &Comparison, last: &Com
     }
 }
 
-/// What is left once all names are in says what to look for; what deviated before, where to look.
+/// Describes the deviations: those left with all names tell what to look for, those before tell where to
+/// look.
 fn what_deviates(first: &Comparison, last: &Comparison, named: bool) -> Vec<String> {
     let of = |c: &Comparison, most: usize| -> Vec<String> {
         signatures(&c.residuals).into_iter().take(most).map(|s| s.text).collect()
@@ -740,8 +745,8 @@ mod tests {
     use crate::inference::{ALIKE_IN_SIGNAL, AT_LONG_EXPOSURES, STEP_IN_SIGNAL, THAT_COME_BACK};
     use radcam_sim::effects;
 
-    /// A filter that makes the gain wrong stands before what has the larger share and costs nothing, with
-    /// what ties with it; a trace and what is not quite right do not.
+    /// A filter that makes the gain wrong, with its ties, stands before an effect that has a larger share and
+    /// costs nothing; a trace or a partial effect does not.
     #[test]
     fn what_costs_most_stands_first() {
         let entry = |effect: &str, share: f64, gain_rel: f64| Missing {
@@ -773,7 +778,7 @@ mod tests {
         assert_eq!(order(vec![entry("a", 0.7, 0.05), entry("b", 0.3, 0.2)]), ["a", "b"]);
     }
 
-    /// A name with a slip would never contradict anything.
+    /// A misspelt name would never contradict anything.
     #[test]
     fn effects_name_statistics_that_exist() {
         for effect in effects::all() {

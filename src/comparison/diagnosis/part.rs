@@ -14,20 +14,20 @@ use rayon::prelude::*;
 /// Discount on the evidence of the nameless model: a free curve follows the last per cent of any
 /// statistic better than physics does.
 const NAMELESS_DISCOUNT: f64 = MATTERS;
-/// Largest mean square of the fitted residuals with which a campaign may agree with a model: of twenty
-/// residuals one in a thousand has it.
+/// Maximum mean squared residual of a fit with which a campaign may agree: its chance for twenty residuals is
+/// one in a thousand.
 const MAX_MEAN_SQUARE: f64 = 2.3;
 /// Evidence that is not worth more than a bare mention (Kass and Raftery 1995, section 3.2).
 pub(super) const BARE_MENTION: f64 = 2.0;
 
-/// Effect of the fitted model with the evidence that is its own.
+/// Effect of the fitted model with its own evidence.
 pub(super) struct Part {
     /// Effect.
     pub effect: &'static dyn Effect,
     /// Evidence lost without the effect.
     pub evidence: f64,
-    /// Mean square of what the whole model leaves, 1 at least: where it leaves much, evidence counts as much
-    /// less (McCullagh and Nelder 1989, 4.5).
+    /// Mean squared residual of the whole model, at least 1: evidence counts less by this factor (McCullagh
+    /// and Nelder 1989, 4.5).
     pub dispersion: f64,
     /// Alternatives in place of the effect, most evidence first.
     pub others: Vec<Candidate>,
@@ -38,12 +38,12 @@ pub(super) struct Part {
     /// Residuals of the model without the effect.
     pub without: Vec<Residual>,
     /// True for a drift in a campaign in which one light has two sets of flats and every other has one: a
-    /// lamp that comes back to another light explains that too.
+    /// lamp that returns to another light explains that too.
     pub hangs_on_one_return: bool,
 }
 
 impl Part {
-    /// Alternatives that explain as much as the effect.
+    /// Returns the alternatives that explain as much as the effect.
     pub fn tied(&self) -> Vec<&Candidate> {
         let same = |c: &&Candidate| self.evidence - c.evidence < TIE * self.dispersion;
         let returns =
@@ -51,15 +51,15 @@ impl Part {
         self.others.iter().filter(|c| same(c) || returns(c)).collect()
     }
 
-    /// Share of the evidence that one explanation of a part has among all: others, nothing at all, and
-    /// something without a name.
+    /// Returns the share of one explanation of a part in the evidence of all: the effect, the alternatives,
+    /// nothing at all, and the nameless model.
     pub fn confidence(&self, evidence: f64) -> f64 {
         let all = self.others.iter().map(|c| c.evidence).chain([self.evidence, 0.0, self.nameless]);
         let sum: f64 = all.map(|e| (0.5 * (e - evidence)).clamp(-300.0, 300.0).exp()).sum();
         1.0 / sum
     }
 
-    /// Sentence on the nameless model where it explains the part better than the effect does.
+    /// Returns a sentence on the nameless model if it explains the part better than the effect does.
     pub fn better(&self) -> Option<String> {
         (self.nameless > self.evidence + BARE_MENTION).then(|| {
             format!(
@@ -72,14 +72,15 @@ impl Part {
     }
 }
 
-/// Parts of a fitted model: every effect that was added to the given model.
+/// Returns the parts of a fitted model: every effect that was added to the given model.
 pub(super) fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Vec<Part> {
     let given = model.effects.len();
     let part = |i: usize| {
         let rest = if whole.effects.len() == given + 1 {
             model.clone()
         } else {
-            // From where the whole ended and from the start: a shallow minimum of the rest is no evidence.
+            // Refitted from the end of the whole and from the start: a shallow minimum of the rest is no
+            // evidence.
             let near = without(all, whole, i);
             let afresh = fit_near(all, model, &near.effects);
             if afresh.objective < near.objective { afresh } else { near }
@@ -87,7 +88,7 @@ pub(super) fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Ve
         let effect = whole.effects[i].0;
         let evidence = score(all, &rest) - score(all, whole);
         let without = residuals_of(all, &rest);
-        // Darks alone have no levels that a function of them could follow.
+        // Darks alone have no levels for a function to follow.
         let lit = all.kinds.iter().any(|kind| *kind != Kind::Dark);
         let of_levels = if lit { unknown::evidence(&without, all.list.len() as f64) } else { 0.0 };
         let nameless = (1.0 - NAMELESS_DISCOUNT) * of_levels;
@@ -107,8 +108,8 @@ pub(super) fn left_out(all: &Observations, model: &Fitted, whole: &Fitted) -> Ve
     (given..whole.effects.len()).into_par_iter().map(part).collect()
 }
 
-/// The model without an effect that does not belong there, where there is one: it does not pay in the
-/// presence of the others, or the campaign contradicts it where it agrees with the rest (settings that are in
+/// Returns the model without an effect that does not belong there, if there is one. Such an effect does not
+/// pay beside the others, or the campaign contradicts it and agrees with the rest (settings that are in
 /// order, say).
 pub(super) fn without_one<'p>(
     all: &Observations,
@@ -135,18 +136,18 @@ pub(super) struct OtherForm {
 }
 
 impl OtherForm {
-    /// Identifier of the effect.
+    /// Returns the identifier of the effect.
     pub fn id(&self) -> &'static str {
         self.fitted.effects[self.at].0.id()
     }
 
-    /// Form in words.
+    /// Returns the form in words.
     pub fn name(&self) -> &'static str {
         let (effect, values) = &self.fitted.effects[self.at];
         effect.form(values).unwrap_or("another form")
     }
 
-    /// Sentence on the tie.
+    /// Returns a sentence on the tie.
     pub fn words(&self) -> String {
         let form = self.name();
         let gain = six_digits(self.fitted.base.gain_dn_per_e);
@@ -170,7 +171,8 @@ pub(super) fn other_forms(all: &Observations, parts: &[Part], whole: &Fitted) ->
     fitted.filter(|form| score(all, &form.fitted) < max_score).collect()
 }
 
-/// Models that explain the campaign as well as the whole: with alternatives, and with other forms.
+/// Returns the models that explain the campaign as well as the whole: with alternatives, and with other
+/// forms.
 pub(super) fn equally_good<'p>(parts: &'p [Part], forms: &'p [OtherForm], whole: &Fitted) -> Vec<&'p Fitted> {
     let has = |id: &str| whole.effects.iter().any(|(e, _)| e.id() == id);
     let tied = parts.iter().flat_map(Part::tied).filter(|c| !has(c.effect.id())).map(|c| &c.fitted);

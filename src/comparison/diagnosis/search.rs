@@ -1,4 +1,5 @@
-//! Searches over sets of effects: several lines are followed, what others take over is dropped again.
+//! Search over sets of effects: several lines are followed, and effects that others replace are dropped
+//! again.
 
 use super::memo::{Memo, key, of_effects};
 use super::memory::is_memory;
@@ -17,45 +18,45 @@ use radcam_sim::effects::{self, Effect, Needs, Seen};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Effects added at most.
+/// Maximum number of effects added.
 const MOST: usize = 8;
-/// Evidence (twice the logarithm of a Bayes factor, by BIC) that an addition needs: with some 30 candidates
+/// Minimum evidence of an addition (twice the logarithm of a Bayes factor, by BIC): with some 30 candidates
 /// tried, chance reaches this less than once in a hundred campaigns.
 pub const NEEDED: f64 = 9.0;
-/// Candidates that are fitted, of those that promise most.
+/// Maximum number of candidates that are fitted, the most promising first.
 const FITTED: usize = 11;
-/// The same where what stands in a model already is compared with others.
+/// Maximum number of rivals that are fitted for an effect of a model.
 const RIVALS: usize = 4;
-/// What promises less than this share of the evidence of what stands in a model already is not fitted as a
-/// rival of it. A named choice: on the 182 cameras of docs/CONFUSION.md as many are right, unknown and wrong
-/// as without it.
+/// Minimum promised gain of a rival that is fitted, as a share of the evidence of the effect in the model. A
+/// named choice: on the 182 cameras of docs/CONFUSION.md as many are right, unknown and wrong as without it.
 const NO_RIVAL: f64 = 0.03;
-/// Forms of an effect that are fitted: of a candidate, and of the most promising one.
+/// Maximum number of forms of an effect that are fitted: of a candidate, and of the most promising one.
 const FORMS: [usize; 2] = [3, 10];
-/// A size is something from so many of its errors on: 0 is rejected at 1 in 80.
+/// Minimum size that is something, in standard errors: 0 is rejected at 1 in 80.
 const KNOWN: f64 = 2.5;
-/// The same of the scatter of settings or of frames, of which there may be two.
+/// Minimum size, in standard errors, of the scatter of settings or of frames, of which there may be two.
 const KNOWN_SCATTER: f64 = 1.2;
-/// A candidate whose evidence after a few rounds is below this share of the best is not fitted to the end.
+/// Minimum evidence of a candidate after a few rounds, as a share of the best, for a fit to convergence.
 const BEHIND: f64 = 0.3;
-/// A candidate that gains this share of its evidence beside another one explains something else.
+/// Minimum gain of a candidate beside another one, as a share of its evidence, if it explains something else.
 const SOMETHING_ELSE: f64 = 0.5;
-/// An effect is not left out for a try where a size squared over its error's square is this multiple of what
-/// it costs (a named choice).
+/// Minimum ratio of a squared size over its squared error to its price for an effect that is not left out for
+/// a try (a named choice).
 const SURELY: f64 = 4.0;
-/// Lines that are followed at once.
+/// Maximum number of lines followed at once.
 const LINES: usize = 3;
-/// Beside a scatter that explains most, what explains this share of as much is followed too.
+/// Minimum evidence, as a share of the best, of a candidate that is followed beside a scatter that explains
+/// most.
 const MOST_OF: f64 = 0.5;
-/// A second line is followed where its evidence is this near the best line's.
+/// Maximum shortfall of a second line's evidence behind the best line's.
 const NEAR: f64 = 40.0;
 
-/// Ratio of errors from which on a statistic is excused and not explained (a named choice).
+/// Minimum ratio of errors for a statistic to be excused and not explained (a named choice).
 const WIDER: f64 = 1.5;
 
-/// Share of the best candidate's evidence from which on another explains the same (a named choice).
+/// Minimum share of the best candidate's evidence for another that explains the same (a named choice).
 const NEARLY: f64 = 0.9;
-/// Evidence from which on an effect is far beyond doubt, and the errors of its prediction matter more than its
+/// Minimum evidence of an effect far beyond doubt: the errors of its prediction then matter more than its
 /// size (a named choice).
 const MANY: f64 = 1e3;
 
@@ -70,7 +71,7 @@ pub struct Candidate {
     pub evidence: f64,
 }
 
-/// What campaigns of this kind can tell of.
+/// Returns the kind of statistics that the campaign has.
 fn there(all: &Observations) -> Needs {
     match (all.has(&frame_scatter::FrameScatter), all.has(&covariance::Covariance)) {
         (true, _) => Needs::Frames,
@@ -79,66 +80,66 @@ fn there(all: &Observations) -> Needs {
     }
 }
 
-/// Price of a model's parameters by BIC, and twice the logarithm of the number of forms of each effect and of
-/// its rarity: a prior that is spread evenly over the forms of a name (Kass and Raftery 1995, J. Am. Stat.
-/// Assoc. 90, 773).
+/// Computes the price of a model: its parameters by BIC, and twice the logarithm of the number of forms of
+/// each effect and of its rarity. The prior is spread evenly over the forms of a name (Kass and Raftery 1995,
+/// J. Am. Stat. Assoc. 90, 773).
 fn price(all: &Observations, fitted: &Fitted) -> f64 {
     let forms: f64 = fitted.effects.iter().map(|(e, _)| 2.0 * (forms(*e) as f64).ln() + e.rarer()).sum();
     fitted.parameters() as f64 * (all.list.len() as f64).ln() + forms
 }
 
-/// Combinations of the choices of an effect.
+/// Counts the combinations of the choices of an effect.
 fn forms(effect: &dyn Effect) -> usize {
     let choices = effect.parameters().iter().filter(|p| p.is_choice());
     choices.map(|p| p.starts.len().max(1)).product()
 }
 
-/// Minus twice the logarithm of a model's evidence.
+/// Computes minus twice the logarithm of a model's evidence.
 pub fn score(all: &Observations, fitted: &Fitted) -> f64 {
     fitted.objective + price(all, fitted)
 }
 
-/// What could stand in a model in place of an effect that has this evidence, fitted beside the rest; most
-/// evidence first.
+/// Finds effects that could replace one with this evidence in a model, fitted beside the rest; most evidence
+/// first.
 pub fn rivals(all: &Observations, rest: &Fitted, of: &dyn Effect, evidence: f64) -> Vec<Candidate> {
     let memo = &Memo::default();
     Look { all, now: rest, guess: None, most: RIVALS, not: &[(of.id(), None)], against: evidence, memo }
         .candidates()
 }
 
-/// Every effect that a model lacks, fitted beside what it has; most evidence first. `fresh`: from a first
-/// guess of the paper's parameters too, since a fit that is far off may have bent what is sound to please
-/// what is not. `not`: those that are none here.
+/// Fits every effect that a model lacks beside those that it has; most evidence first. `fresh`: also from a
+/// first guess of the paper's parameters, since a fit that is far off may have distorted sound values. `not`:
+/// excluded effects.
 fn candidates(all: &Observations, now: &Fitted, fresh: bool, not: &[Banned], memo: &Memo) -> Vec<Candidate> {
     let guess = fresh.then(|| now.with_base(start(all)));
     Look { all, now, guess, most: FITTED, not, against: 0.0, memo }.candidates()
 }
 
-/// An effect that is none here: in one of its forms, by the bits of its choices, or in all of them.
+/// Excluded effect: in one of its forms, by the bits of its choices, or in all of them.
 type Banned = (&'static str, Option<Vec<u64>>);
 
-/// Bits of an effect's choices.
+/// Returns the bits of an effect's choices.
 pub fn choices(effect: &dyn Effect, values: &[f64]) -> Vec<u64> {
     let of = effect.parameters().iter().zip(values).filter(|(p, _)| p.is_choice());
     of.map(|(_, v)| v.to_bits()).collect()
 }
 
-/// A look for what could be added to a model.
+/// Search for additions to a model.
 struct Look<'a> {
     all: &'a Observations,
     now: &'a Fitted,
-    /// The same effects beside a first guess of the paper's parameters.
+    /// Same effects beside a first guess of the paper's parameters.
     guess: Option<Fitted>,
-    /// So many are fitted, of those that promise most.
+    /// Maximum number of effects that are fitted, the most promising first.
     most: usize,
-    /// Those that are not to be among them.
+    /// Excluded effects.
     not: &'a [Banned],
-    /// Its evidence.
+    /// Evidence of the effect to be replaced; 0 without one.
     against: f64,
     memo: &'a Memo,
 }
 
-/// An effect with its starts, and the gain that the best of them promises.
+/// An effect with its starts, and the promised gain of the best of them.
 struct Promising {
     gain: f64,
     starts: Starts,
@@ -162,7 +163,7 @@ impl Look<'_> {
                 (effect, self.memo.fits(key, fits))
             })
             .collect();
-        // A few rounds tell which are far behind; the others are fitted to the end.
+        // A few rounds tell which candidates are far behind; the others are fitted to convergence.
         let first = |tries: &[Fitted]| Some(self.evidence(tries.first()?));
         brief.iter().for_each(|(effect, tries)| self.trace("a few rounds", *effect, tries));
         let ahead = brief.iter().filter_map(|(_, tries)| first(tries)).fold(self.against, f64::max);
@@ -186,7 +187,7 @@ impl Look<'_> {
         found
     }
 
-    /// Effects that the model lacks and this campaign could tell of, by what they promise, the most first.
+    /// Returns the effects that the model lacks and this campaign could show, the most promising first.
     fn screened(&self, screen: &Screen<'_>) -> Vec<Promising> {
         let mut ids: Vec<&str> = self.now.effects.iter().map(|(e, _)| e.id()).collect();
         ids.extend(self.not.iter().filter(|(_, form)| form.is_none()).map(|(id, _)| *id));
@@ -226,15 +227,15 @@ impl Look<'_> {
         found
     }
 
-    /// Those that are fitted. What moves only errors is not seen by a look at expectations: it is fitted in
-    /// any case.
+    /// Selects the effects to fit. A score test of expectations does not see effects that move only errors:
+    /// these are always fitted.
     fn chosen(&self, promising: Vec<Promising>) -> Vec<Promising> {
         let needed = NEEDED.max(NO_RIVAL * self.against);
         let (always, rest): (Vec<_>, Vec<_>) = promising.into_iter().partition(|p| p.gain.is_infinite());
         always.into_iter().chain(rest.into_iter().filter(|p| p.gain > needed).take(self.most)).collect()
     }
 
-    /// Of the forms of an effect the best whose values are known.
+    /// Returns the best form of an effect among those whose values are known.
     fn standing(&self, effect: &'static dyn Effect, tries: Vec<Fitted>) -> Option<Candidate> {
         let seen = seen(self.all, &self.now.base);
         let stands = |c: &Candidate| {
@@ -245,7 +246,7 @@ impl Look<'_> {
         let tries =
             tries.into_iter().map(|fitted| Candidate { effect, evidence: self.evidence(&fitted), fitted });
         let standing: Vec<Candidate> = tries.filter(stands).collect();
-        // Forms that explain it as well are tied: the first of the effect's list is taken.
+        // Forms that explain it equally well are tied: the first of the effect's list is taken.
         let best = standing.first()?.evidence;
         let form = |c: &Candidate| c.fitted.effects.last().map(|(e, values)| choices(*e, values));
         standing.into_iter().filter(|c| best - c.evidence < BARE_MENTION).min_by_key(form)
@@ -263,10 +264,10 @@ impl Look<'_> {
         score(self.all, self.now) - score(self.all, fitted)
     }
 
-    /// Candidate that does no more than widen errors, which fits anything. No effect predicts profiles of lines:
-    /// what is gained there is of their errors. A bend of the response moves means: what it gains by residuals
-    /// that are as large as before and count less is of the rounding of its table. Scatter widens errors, and
-    /// rightly.
+    /// Returns true for a candidate that only widens errors, which fits anything. No effect predicts profiles
+    /// of lines: a gain there comes from their errors. A bend of the response moves means: a gain by
+    /// residuals that are as large as before and count less comes from the rounding of its table. Scatter
+    /// rightly widens errors.
     fn only_excuses(&self, c: &Candidate) -> bool {
         let (now, with) = (residuals_of(self.all, self.now), residuals_of(self.all, &c.fitted));
         let differ = |(a, b): (&Residual, &Residual)| a.set != b.set || a.statistic != b.statistic;
@@ -290,20 +291,20 @@ impl Look<'_> {
     }
 }
 
-/// Whether a candidate is something by itself: see [`is_something`].
+/// Returns true if a candidate is something by itself: see [`is_something`].
 fn stands(c: &Candidate, seen: &Seen) -> bool {
     is_something(&c.fitted, c.fitted.effects.len() - 1, seen)
 }
 
-/// Mean residual of the statistic that is an effect's own scatter, in standard errors, below which that scatter
-/// is not there.
+/// Minimum mean residual of the statistic that is an effect's own scatter, in standard errors; below it the
+/// scatter is not there.
 const NOT_THERE: f64 = -1.5;
 
-/// Standard errors by which successive frames must be alike, over all sets, where what scatters from frame to
-/// frame does not scatter by itself.
+/// Maximum likeness of successive frames, in standard errors over all sets, for scatter that is independent
+/// from frame to frame.
 const IN_TURN: f64 = 6.0;
 
-/// Whether the scatter that an effect brings is measured, where a statistic shows it.
+/// Returns true if the scatter that an effect brings is measured, or no statistic shows it.
 fn is_shown(all: &Observations, c: &Candidate) -> bool {
     let Some(statistic) = c.effect.shown_by() else { return true };
     let residuals = residuals_of(all, &c.fitted);
@@ -315,22 +316,23 @@ fn is_shown(all: &Observations, c: &Candidate) -> bool {
     (n == 0.0 || sum / n > NOT_THERE) && (frames == 0.0 || in_turn.abs() / frames.sqrt() < IN_TURN)
 }
 
-/// A parameter that is nothing within its error explains nothing, nor does one at the end of its range, nor
-/// what has become another effect.
+/// Returns true if an effect explains something: not if its sizes are zero within their errors, nor if one is
+/// at the end of its range, nor if it has become another effect.
 pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     let ((effect, values), errors) = (&fitted.effects[at], &fitted.std_err[at]);
     if at_an_end(*effect, values) || effect.is_another(values, seen) {
         return false;
     }
-    // A scatter of m settings or frames is known to 1 / root 2 m of itself: of two to 0.7.
+    // A scatter with m degrees of freedom is known to 1 / root 2 m of itself: two settings or frames tell it
+    // to 0.7.
     let known = if effect.sets_each() || effect.shown_by().is_some() { KNOWN_SCATTER } else { KNOWN };
     let is_known = |value: f64, error: f64| value.abs() > known * error;
-    // Two that only their combination tells are each unknown.
+    // Two sizes that only their combination tells are each unknown.
     if effect.together(values).is_some_and(|t| is_known(t.value, fitted.std_err_of(at, &t))) {
         return true;
     }
     let sizes: Vec<usize> = sizes(*effect, values).collect();
-    // What a fit has driven to rounding is nothing, whatever its error.
+    // A size that a fit has driven to rounding is nothing, whatever its error.
     let is_there = |k: usize| values[k].abs() > NOTHING * effect.parameters()[k].max.abs();
     sizes.is_empty() || sizes.iter().any(|&k| is_there(k) && is_known(values[k], errors[k]))
 }
@@ -364,10 +366,10 @@ pub fn is_told(
     before.len() == after.len() && explained.sum::<f64>() > NEEDED + (all.list.len() as f64).ln()
 }
 
-/// Wald test of the only size of an effect, or of its combined parameters, against the evidence that a name
-/// needs beside a model that holds; of a scatter, which few frames tell to no better than a third however
-/// large it is, the deviance of its own statistic. Evidence alone does not do: it also rises when errors
-/// become smaller.
+/// Returns true if an effect is surely there: Wald test of its only size, or of its combined parameters,
+/// against the evidence that a name needs beside a model that holds. Few frames tell a scatter to no better
+/// than a third however large it is; its test is the deviance of its own statistic. Evidence alone does not
+/// suffice: it also rises when errors become smaller.
 pub fn surely_there(
     all: &Observations,
     without: &Fitted,
@@ -388,8 +390,8 @@ pub fn surely_there(
     sizes.len() != 1 || far(values[sizes[0]], errors[sizes[0]])
 }
 
-/// Drop in the deviance of a variance: with d degrees of freedom, d (r - 1 - ln r) for a ratio r of measured
-/// to predicted (gamma errors; McCullagh and Nelder 1989, section 8.3.2).
+/// Computes the drop in the deviance of a variance: with d degrees of freedom, d (r - 1 - ln r) for a ratio r
+/// of measured to predicted (gamma errors; McCullagh and Nelder 1989, section 8.3.2).
 fn deviance_drop(all: &Observations, without: &Fitted, with: &Fitted, statistic: &str) -> f64 {
     let deviance = |model: &Fitted| -> f64 {
         let own = residuals_of(all, model).into_iter().filter(|r| r.statistic == statistic);
@@ -402,7 +404,7 @@ fn deviance_drop(all: &Observations, without: &Fitted, with: &Fitted, statistic:
     deviance(without) - deviance(with)
 }
 
-/// Places of the sizes that an effect uses at these values.
+/// Returns the indexes of the sizes that an effect uses at these values.
 fn sizes<'e>(effect: &'e dyn Effect, values: &'e [f64]) -> impl Iterator<Item = usize> + 'e {
     let is_size = |k: &usize| effect.parameters()[*k].is_size();
     (0..values.len()).filter(|k| effect.uses(values, *k)).filter(is_size)
@@ -411,7 +413,7 @@ fn sizes<'e>(effect: &'e dyn Effect, values: &'e [f64]) -> impl Iterator<Item = 
 /// Part of the range below which a size is rounding.
 const NOTHING: f64 = 1e-15;
 
-/// Whether a size lies at an end of its range that is not nothing.
+/// Returns true if a size is at an end of its range that is not zero.
 fn at_an_end(effect: &dyn Effect, values: &[f64]) -> bool {
     sizes(effect, values).any(|k| {
         let (p, v) = (effect.parameters()[k], values[k]);
@@ -427,9 +429,9 @@ struct Line {
     score: f64,
 }
 
-/// What a search found.
+/// Result of a search.
 pub struct Found {
-    /// The model with all of it.
+    /// Model with all effects found.
     pub fitted: Fitted,
     /// Candidates for the first addition.
     pub first: Vec<Candidate>,
@@ -437,15 +439,16 @@ pub struct Found {
     pub given_up: Option<Fitted>,
 }
 
-/// Mean square of the residuals beyond which a fit may have ended early.
+/// Mean squared residual beyond which a fit may have ended early.
 const FAR_SQUARE: f64 = 4.0;
 
-/// Repeated searches, each without the forms of effects that had become nothing.
+/// Maximum number of searches, each without the forms of effects that had become nothing, before the last
+/// one.
 const AGAIN: usize = 3;
 
-/// True for an effect of memory whose drop in chi-square comes from the frame means of one set of flats:
-/// a lamp that starts dim makes a first frame dark too, and charge that is carried over correlates the
-/// noise of frames or shows in other sets.
+/// Returns true for an effect of memory whose drop in chi-square comes from the frame means of one set of
+/// flats. A lamp that starts dim makes a first frame dark too; charge that is carried over also correlates
+/// the noise of frames or shows in other sets.
 fn is_of_one_set(all: &Observations, with: &Fitted, at: usize) -> bool {
     let (effect, _) = &with.effects[at];
     if !effect.has_memory() {
@@ -474,7 +477,7 @@ fn is_of_one_set(all: &Observations, with: &Fitted, at: usize) -> bool {
 }
 
 /// Adds effects to a model as long as the evidence pays for them. `far`: the model is so far off that its own
-/// values may be bent.
+/// values may be distorted.
 pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn FnMut(&str)) -> Found {
     let mut not: Vec<Banned> = Vec::new();
     let memo = Memo::default();
@@ -506,7 +509,7 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
             let scatters = effects::all().into_iter().filter(|e| e.shown_by().is_some());
             not.extend(scatters.map(|e| (e.id(), None)));
         }
-        // Another form of it may be something.
+        // Another form of the same effect may be something.
         let banned = |i: usize| {
             let (effect, values) = &found.fitted.effects[i];
             (effect.id(), Some(choices(*effect, values)))
@@ -519,8 +522,9 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
     or_one_that_holds(all, search_without(all, model, far, &not, &memo, progress))
 }
 
-/// A single effect with which the campaign agrees, where it does not with what was found: evidence also grows as
-/// errors become narrower, and a model whose narrow errors are wrong is no better for it.
+/// Replaces what was found by a single effect with which the campaign agrees, if it does not agree with what
+/// was found. Evidence also grows as errors become narrower, and a model whose narrow errors are wrong is no
+/// better for it.
 fn or_one_that_holds(all: &Observations, mut found: Found) -> Found {
     let best = found.first.first().map_or(0.0, |c| c.evidence);
     let reach = if best < MANY { TIE } else { (1.0 - NEARLY) * best };
@@ -583,11 +587,12 @@ fn search_without(
             done.extend(lines.iter().cloned());
         }
     }
-    // One more effect must bring as much between lines as within one: two are no better than one that explains
-    // the same.
+    // One more effect must bring as much between lines as within one: two effects are no better than one that
+    // explains the same.
     let priced = |l: &Line| l.score + NEEDED * l.fitted.effects.len() as f64;
     let best = done.into_iter().min_by(|a, b| priced(a).total_cmp(&priced(b)));
-    // A model that came a long way may have been led astray: from a first guess of the paper's parameters too.
+    // A model that came a long way may have been led astray: it is also fitted from a first guess of the
+    // paper's parameters.
     let best = best.map(|l| {
         let from = |base| fit(all, base, &l.fitted.effects);
         let guess = start(all);
@@ -601,8 +606,8 @@ fn search_without(
     Found { fitted: fitted.unwrap_or_else(|| model.clone()), first, given_up: None }
 }
 
-/// The model with another form of an effect where that explains more: an effect that was found beside a stand-in
-/// for a part of it, which is gone again, has the form that was left to it.
+/// Gives an effect of the model another form if that explains more. An effect that was found beside a
+/// stand-in for a part of it, which is gone again, has the form that was left to it.
 fn with_best_forms(
     all: &Observations,
     mut model: Fitted,
@@ -631,7 +636,7 @@ fn with_best_forms(
                 other.evidence
             );
             let mut effects = other.fitted.effects;
-            // It was added last, and stands at the place of the form before.
+            // The new form was added last; it takes the place of the form before.
             effects[at..].rotate_right(1);
             let again = fit(all, &other.fitted.base, &effects);
             if score(all, &again) < score(all, &model) {
@@ -642,21 +647,22 @@ fn with_best_forms(
     model
 }
 
-/// A line with the best of these candidates, and one with the second where that is near; each with what
-/// explains something else.
+/// Returns a line with the best of these candidates, and one with the second if that is near; each with the
+/// candidates that explain something else.
 fn longer(all: &Observations, found: &[Candidate], given: usize, memo: &Memo) -> Vec<Line> {
     let good: Vec<&Candidate> = found.iter().filter(|c| c.evidence > NEEDED).collect();
     let best = good.first().map_or(0.0, |c| c.evidence);
     let mut near: Vec<&Candidate> =
         good.iter().take(2).filter(|c| c.evidence > best - NEAR).copied().collect();
-    // A scatter that is fitted excuses any deviation of what scatters: what moves means is followed beside it.
+    // A fitted scatter excuses any deviation of what scatters: a candidate that moves means is followed
+    // beside it.
     let scatters = |c: &Candidate| c.effect.shown_by().is_some() || c.effect.sets_each();
     if near.iter().all(|c| scatters(c)) {
         near.extend(good.iter().find(|c| !scatters(c) && c.evidence > MOST_OF * best));
     }
     let line = |c: &&Candidate| {
         let fitted = without_idle(all, with_others(all, c, &good, given, memo), given, memo);
-        // Fits of models that were far off end early: lines are compared where they have arrived.
+        // Fits of models that were far off end early: lines are compared after convergence.
         let fitted =
             if fitted.mean_square > FAR_SQUARE { fit(all, &fitted.base, &fitted.effects) } else { fitted };
         Line { score: score(all, &fitted), fitted }
@@ -664,7 +670,7 @@ fn longer(all: &Observations, found: &[Candidate], given: usize, memo: &Memo) ->
     near.iter().map(line).collect()
 }
 
-/// Lines in which a candidate that does not pay beside the others takes the place of some of them.
+/// Returns lines in which a candidate that does not pay beside the others replaces some of them.
 fn instead(all: &Observations, found: &[Candidate], line: &Line, given: usize, memo: &Memo) -> Vec<Line> {
     let some = found.iter().filter(|c| c.evidence > -NEAR).take(2);
     let lines = some.map(|c| {
@@ -680,8 +686,8 @@ fn ids(fitted: &Fitted) -> Vec<&'static str> {
     ids
 }
 
-/// A candidate's model with the other candidates that explain something else: what each gains beside it is
-/// most of what it gained alone.
+/// Adds the candidates that explain something else to a candidate's model: each gains beside it most of what
+/// it gained alone.
 fn with_others(
     all: &Observations,
     chosen: &Candidate,
@@ -705,7 +711,7 @@ fn with_others(
     model
 }
 
-/// A model without one of its effects, fitted again.
+/// Refits a model without one of its effects.
 pub fn without(all: &Observations, model: &Fitted, which: usize) -> Fitted {
     fit_near(all, model, &effects_without(model, which))
 }
@@ -716,8 +722,8 @@ fn effects_without(model: &Fitted, which: usize) -> Effects {
     effects
 }
 
-/// Whether an effect of a model pays for itself beyond doubt: by the square of a size over its error (Wald's
-/// test), which a fit without it would give to within a small factor.
+/// Returns true if an effect of a model pays for itself beyond doubt: by its squared size over its squared
+/// error (Wald's test), which a fit without it would give to within a small factor.
 fn surely_pays(all: &Observations, model: &Fitted, which: usize) -> bool {
     let (effect, values) = &model.effects[which];
     let parameters = effect.parameters();
@@ -726,7 +732,7 @@ fn surely_pays(all: &Observations, model: &Fitted, which: usize) -> bool {
     sizes(*effect, values).any(|k| square(k) > SURELY * price && square(k).is_finite())
 }
 
-/// Drops effects whose evidence does not pay for them any more.
+/// Drops effects whose evidence no longer pays for them.
 fn without_idle(all: &Observations, mut model: Fitted, given: usize, memo: &Memo) -> Fitted {
     while model.effects.len() > given + 1 {
         let doubtful =
@@ -742,8 +748,8 @@ fn without_idle(all: &Observations, mut model: Fitted, given: usize, memo: &Memo
     model
 }
 
-/// Finds values of effects' parameters that are not given: one effect after the other is added to what is
-/// known. What moves nothing that was measured stays at its first start.
+/// Finds values of effects' parameters that are not given, by adding one effect after the other to the known
+/// ones. An effect that moves nothing measured stays at its first start.
 pub fn searched(all: &Observations, given: &[Given]) -> Effects {
     let known = |(e, values): &Given| Some((*e, values.iter().copied().collect::<Option<Vec<f64>>>()?));
     if given.iter().all(|g| known(g).is_some()) {
@@ -759,12 +765,12 @@ pub fn searched(all: &Observations, given: &[Given]) -> Effects {
     now.effects
 }
 
-/// A model with one more effect, the values of whose parameters are searched for as far as they are not given.
+/// Adds one effect to a model, and searches for the values of its parameters that are not given.
 fn with_one(all: &Observations, now: Fitted, (effect, given): &Given) -> Fitted {
     let guess = now.with_base(start(all));
     let mut hinted = effect.starts(&seen(all, &guess.base));
     hinted.extend(effect.starts(&seen(all, &now.base)));
-    // From the first guess too: a fit that lacks the effect may lie far off.
+    // Also from the first guess: a fit that lacks the effect may lie far off.
     let brief = [&guess, &now].map(|from| {
         let starts = Starts::of(&Screen::new(all, from, 0.0), *effect, given, &hinted);
         starts.fit_briefly(all, &now, Some(&guess), FORMS[1], None)

@@ -35,7 +35,7 @@ pub struct SensorValues {
 }
 
 impl SensorValues {
-    /// Widens the error of the gain by a share of it, and of what is in electrons with it.
+    /// Widens the error of the gain by a share of it, and with it the errors of values in electrons.
     pub(super) fn with_open_gain(mut self, rel: f64) -> Self {
         let all = [&mut self.gain_dn_per_e, &mut self.read_noise_e, &mut self.dark_current_e_per_s];
         for q in all.into_iter().flatten() {
@@ -45,16 +45,16 @@ impl SensorValues {
     }
 }
 
-/// Error of a value, relative, from which on the campaign does not determine it.
+/// Minimum relative error of a value that the campaign does not determine.
 pub(super) const NOT_DETERMINED: f64 = 0.3;
 
-/// True if the gain was fitted. Darks alone tell it only by the shot noise of their dark charge.
+/// Returns true if the gain was fitted. Darks alone tell it only by the shot noise of their dark charge.
 pub(super) fn tells_gain(fitted: &Fitted) -> bool {
     fitted.base_std_err[0] > 0.0
 }
 
-/// Values of the linear sensor; where a model does not describe the campaign their errors grow with the
-/// misfit, and cover the values of the equally good models `alternatives`.
+/// Returns the values of the linear sensor. If the model does not describe the campaign, their errors grow
+/// with the misfit and cover the values of the equally good models `alternatives`.
 pub(super) fn sensor(
     all: &Observations,
     whole: &Fitted,
@@ -92,7 +92,7 @@ pub(super) fn sensor(
     }
     let (mut rms_e, mut read_noise_e) =
         (base.read_noise_e, of(base.read_noise_e, errors[1], apart(|b| b.read_noise_e), "e"));
-    // Noise that neighbours share nearly whole leaves next to none to single pixels: all of it is the read
+    // Noise that neighbours share almost entirely leaves next to none to single pixels: all of it is the read
     // noise.
     if read_noise_e.is_none()
         && let (Some(ratio), Some(shared_rel)) = (dark_noise_over_read_noise, shared_rel(whole))
@@ -115,7 +115,7 @@ pub(super) fn sensor(
     }
 }
 
-/// Sentence on the gains of equally good models, where they differ by more than the fit's own error.
+/// Returns a sentence on the gains of equally good models, if they differ by more than the fit's own error.
 pub(super) fn range_of_gains(whole: &Fitted, alternatives: &[&Fitted], noise_tells: bool) -> Option<String> {
     let gains = || alternatives.iter().chain([&whole]).map(|model| model.base.gain_dn_per_e);
     let (least, most) = (gains().fold(f64::INFINITY, f64::min), gains().fold(0.0, f64::max));
@@ -129,18 +129,18 @@ pub(super) fn range_of_gains(whole: &Fitted, alternatives: &[&Fitted], noise_tel
     })
 }
 
-/// Relative error of the noise that neighbours of a row share, where a model has it.
+/// Returns the relative error of the noise that neighbours of a row share, if the model has it.
 fn shared_rel(whole: &Fitted) -> Option<f64> {
     let place = whole.effects.iter().position(|(e, _)| e.id() == "read-noise-correlation")?;
     let (values, errors) = (&whole.effects[place].1, &whole.std_err[place]);
     Some(errors.get(1)? / values.get(1)?)
 }
 
-/// Difference from the read noise from which on the noise of darks is said.
+/// Minimum relative difference from the read noise for the noise of darks to be reported.
 const SAID: f64 = 0.01;
 
-/// Read noise of the shortest darks with all effects over that of single pixels: charge and quantisation, the
-/// same in both, are taken off (Healey and Kondepudy 1994, eq. 35: variances add).
+/// Computes the read noise of the shortest darks with all effects over that of single pixels. Charge and
+/// quantisation are the same in both and are subtracted (Healey and Kondepudy 1994, eq. 35: variances add).
 fn dark_noise(all: &Observations, whole: &Fitted) -> Option<f64> {
     let exposure = |set: usize| all.campaign.sets[set].exposure_s;
     let darks = || (0..all.kinds.len()).filter(|set| all.kinds[*set] == Kind::Dark);
@@ -165,7 +165,7 @@ fn dark_noise(all: &Observations, whole: &Fitted) -> Option<f64> {
     (read_dn2 > 0.0 && total > 0.0).then(|| (total / read_dn2).sqrt())
 }
 
-/// Why a dark current is negative, in words; `None` where it is not.
+/// Explains a negative dark current in words; `None` if it is not negative.
 pub(super) fn below_zero(sensor: &SensorValues) -> Option<String> {
     let dark = sensor.dark_current_e_per_s.as_ref().filter(|d| d.value < -BELOW * d.std_err)?;
     Some(format!(
@@ -174,7 +174,7 @@ pub(super) fn below_zero(sensor: &SensorValues) -> Option<String> {
     ))
 }
 
-/// Standard errors below zero that are no chance.
+/// Number of standard errors below zero that are no chance.
 const BELOW: f64 = 5.0;
 
 #[cfg(test)]

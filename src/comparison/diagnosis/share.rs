@@ -6,11 +6,11 @@ use crate::inference::{Comparison, Fitted, Residual};
 use crate::observables::Observations;
 use serde::{Deserialize, Serialize};
 
-/// Share of the misfit below which what is left matters to nobody, and is not held against a name: with enough
-/// frames every model is rejected (of 202 cameras of an outside generator those with an effect of the catalogue
-/// leave less in 11 of 12 that significance would call unknown).
+/// Minimum share of the misfit for a remainder to matter; a smaller one is not held against a name. With
+/// enough frames every model is rejected (of 202 cameras of an outside generator, those with an effect of the
+/// catalogue leave less in 11 of 12 that significance would call unknown).
 pub(super) const MATTERS: f64 = 0.01;
-/// Share of the misfit from which on the remainder is the larger part, and stands first.
+/// Minimum share of the misfit for the remainder to be the larger part, and to stand first.
 const LARGER_PART: f64 = 0.5;
 
 /// The misfit that is left with all named effects in the model.
@@ -29,19 +29,19 @@ pub struct Remainder {
     pub cost: Cost,
 }
 
-/// Misfit: the square of an error above the noise.
+/// Computes the misfit: the squared error above the noise.
 fn misfit(c: &Comparison) -> f64 {
     (c.error * c.error - 1.0).max(0.0)
 }
 
-/// What is left; `None` where that is within the noise. `nothing`: the model has no more than it was given.
+/// Returns the remainder; `None` if it is within the noise. `nothing`: no effect was added to the model.
 pub(super) fn remainder(
     all: &Observations,
     whole: &Fitted,
     [first, last]: [&Comparison; 2],
     nothing: bool,
 ) -> Option<Remainder> {
-    // A name must hold; the model as given, only not fail.
+    // Names must hold; the model as given must only not fail.
     if last.p_value >= if nothing { P_LIMIT } else { HOLDS } {
         return None;
     }
@@ -63,16 +63,16 @@ pub(super) enum Place {
     Nowhere,
 }
 
-/// Error with all names in the model from which on they do not describe the campaign, whatever their share (a
-/// named choice: of 235 campaigns with the right names the largest error is 1.7, and samples at both ends of
-/// the codes leave 1438).
+/// Error above which all names together do not describe the campaign, whatever their share (a named choice:
+/// of 235 campaigns with the right names the largest error is 1.7, and samples at both ends of the codes
+/// leave 1438).
 const HOPELESS: f64 = 10.0;
-/// Largest error, and largest share of the error without names, that names which describe a campaign leave (named
+/// Maximum error, and maximum share of the error without names, with names that describe a campaign (named
 /// choices: wrong names leave 3.0 of 10.7 of salt and pepper, the right one 1.8 of 20 of companding).
 const MAX_LEFT: (f64, f64) = (2.5, 0.1);
 
-/// Place of `unknown`. `doubt`: reason against the strongest name; `left`: share of the remainder; the errors
-/// without a name and with all of them in the model.
+/// Returns the place of `unknown`. `doubt`: reason against the strongest name; `left`: share of the
+/// remainder; the errors without a name and with all of them in the model.
 pub(super) fn place_of_unknown(
     parts: &[Part],
     doubt: Option<&str>,
@@ -89,8 +89,8 @@ pub(super) fn place_of_unknown(
     }
 }
 
-/// Share of each part in what all of them explain: by what the sum of squares grows without it. `fitted`:
-/// residuals with all of them.
+/// Computes the share of each part in what all of them explain: growth of the sum of squares without it.
+/// `fitted`: residuals with all of them.
 pub(super) fn shares(parts: &[Part], fitted: &[Residual]) -> Vec<f64> {
     let squares = |residuals: &[Residual]| residuals.iter().map(|r| r.z * r.z).sum::<f64>();
     let with = squares(fitted);
@@ -103,7 +103,8 @@ pub(super) fn shares(parts: &[Part], fitted: &[Residual]) -> Vec<f64> {
 mod tests {
     use super::{Place, place_of_unknown};
 
-    /// First without any name, against a name in doubt, and where no name brings the error down.
+    /// `unknown` stands first without any name, against a name in doubt, and if no name brings the error
+    /// down.
     #[test]
     fn a_remainder_has_its_place() {
         let place = |share, error| place_of_unknown(&[], None, share, [60.0, error]);

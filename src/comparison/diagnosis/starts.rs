@@ -8,17 +8,17 @@ use radcam_sim::effects::{self, Effect};
 use radcam_sim::predict::BaseParameters;
 use rayon::prelude::*;
 
-/// Starts of one effect beyond one of each form that are fitted for a few rounds.
+/// Maximum number of starts of one effect, beyond one of each form, that are fitted for a few rounds.
 const MAX_MORE: usize = 3;
-/// Fits of one effect that are fitted to the end.
+/// Maximum number of fits of one effect to convergence.
 const MAX_FINISHED: usize = 4;
-/// Difference of two scores, over the mean square of the residuals, below which two fits have come to the same
-/// place (a named choice).
+/// Maximum difference of two scores, over the mean squared residual, of fits at the same point (a named
+/// choice).
 const SAME_SCORE: f64 = 0.01;
-/// Ratio of two sizes below which fits from both end at one place (a named choice: a fit passes over as much in
-/// one step).
+/// Maximum ratio of two sizes whose fits end at one point (a named choice: a fit passes over as much in one
+/// step).
 const NEAR_SIZE: f64 = 1.05;
-/// Least share of the read noise's variance that a start leaves to the read noise (a named choice).
+/// Minimum share of the read noise's variance that a start leaves to the read noise (a named choice).
 const MIN_READ_SHARE: f64 = 0.1;
 
 /// Starts of one effect.
@@ -27,12 +27,12 @@ pub struct Starts {
     pub effect: &'static dyn Effect,
     /// Starts with their sizes scaled by score tests, the most promising first.
     scored: Vec<Scored>,
-    /// Starts at their own size, of an effect that the fitted read noise absorbs.
+    /// Unscaled starts, for an effect that the fitted read noise absorbs.
     unscaled: Vec<Vec<f64>>,
 }
 
 impl Starts {
-    /// Starts from these hints, scaled by score tests; `given`: values that are known.
+    /// Builds starts from these hints, scaled by score tests; `given`: known values.
     pub fn of(
         screen: &Screen<'_>,
         effect: &'static dyn Effect,
@@ -53,18 +53,18 @@ impl Starts {
         self.unscaled.retain(|values| keep(values));
     }
 
-    /// Gain that the best start promises; `None` without any start that moves an observable.
+    /// Returns the gain that the best start promises; `None` if no start moves an observable.
     pub fn gain(&self) -> Option<f64> {
         self.scored.first().map(|start| start.gain)
     }
 
-    /// Values of all starts, the most promising first.
+    /// Returns the values of all starts, the most promising first.
     pub fn values(&self) -> impl Iterator<Item = &Vec<f64>> {
         self.scored.iter().map(|start| &start.values).chain(&self.unscaled)
     }
 
-    /// Models with the effect after a few rounds of a fit, the best first: from the best start of each of so many
-    /// forms, then from others.
+    /// Fits the model with the effect for a few rounds; returns the fits, the best first. It starts from the
+    /// best start of each of so many forms, then from others.
     pub fn fit_briefly(
         &self,
         all: &Observations,
@@ -82,7 +82,7 @@ impl Starts {
         }
         picked.truncate(forms);
         let scored = self.scored.iter().map(|start| &start.values).filter(|values| !picked.contains(values));
-        // The promise of a start says little where the effect has no size: all are tried.
+        // The promise of a start says little if the effect has no size: all are tried.
         let has_size = effect.parameters().iter().any(effects::Parameter::is_size);
         let most = if has_size { MAX_MORE } else { self.scored.len() };
         let more: Vec<&Vec<f64>> = scored.take((most + 1).saturating_sub(picked.len()).max(1)).collect();
@@ -108,8 +108,8 @@ impl Starts {
     }
 }
 
-/// The paper's parameters with the read noise, and its spread over the pixels, less what the last of some effects
-/// adds to both in darks.
+/// Reduces the read noise, and its spread over the pixels, by what the last of some effects adds to both in
+/// darks.
 fn without_added_noise(all: &Observations, base: &BaseParameters, effects: &Effects) -> BaseParameters {
     let dark = all.campaign.sets.iter().position(|s| s.light.is_none()).unwrap_or(0);
     let of = |effects: &[(&'static dyn Effect, Vec<f64>)]| {
@@ -130,7 +130,7 @@ fn without_added_noise(all: &Observations, base: &BaseParameters, effects: &Effe
     }
 }
 
-/// True for two starts of an effect that differ in their sizes alone, and by little.
+/// Returns true for two starts of an effect that differ only in their sizes, and by little.
 fn is_near(effect: &dyn Effect, one: &[f64], other: &[f64]) -> bool {
     effect
         .parameters()
@@ -145,14 +145,14 @@ pub fn sorted(all: &Observations, mut models: Vec<Fitted>) -> Vec<Fitted> {
     models
 }
 
-/// Fits the best of some models to the end; the best first.
+/// Fits the best of some models to convergence; returns the best first.
 pub fn finished(all: &Observations, mut models: Vec<Fitted>, memo: &Memo) -> Vec<Fitted> {
     models.dedup_by(|a, b| is_same_place(all, a, b));
     let all_of = models.into_par_iter().take(MAX_FINISHED).map(|m| memo.near(all, &m, &m.effects));
     sorted(all, all_of.collect())
 }
 
-/// True for two fits of the same effects that have come to the same place.
+/// Returns true for two fits of the same effects at the same point.
 fn is_same_place(all: &Observations, one: &Fitted, other: &Fitted) -> bool {
     (score(all, one) - score(all, other)).abs() < SAME_SCORE * one.mean_square.max(1.0)
         && one.effects.iter().zip(&other.effects).all(|((e, a), (_, b))| e.form(a) == e.form(b))

@@ -18,8 +18,8 @@ const DRAWS: u32 = 4000;
 /// two hundred campaigns.
 const SWINGS: f64 = 3.0;
 
-/// Share of the variance that the best-fitting sine explains (Lomb 1976; Scargle 1982), and its frequency in
-/// cycles per frame.
+/// Computes the share of the variance that the best-fitting sine explains (Lomb 1976; Scargle 1982), and its
+/// frequency in cycles per frame.
 fn swing(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -44,8 +44,8 @@ fn swing(values: &[f64]) -> (f64, f64) {
     shares.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|s| s.0.is_finite()).unwrap_or((0.0, 0.0))
 }
 
-/// Mean and standard deviation of the share that [`swing`] finds in n independent normal numbers, by Monte
-/// Carlo.
+/// Estimates the mean and standard deviation of the share that [`swing`] finds in n independent normal
+/// numbers, by Monte Carlo.
 fn of_independent(n: usize) -> (f64, f64) {
     let (mut sum, mut squares) = (0.0, 0.0);
     for draw in 0..DRAWS {
@@ -58,8 +58,9 @@ fn of_independent(n: usize) -> (f64, f64) {
     (mean, (squares / f64::from(DRAWS) - mean * mean).sqrt())
 }
 
-/// Standardised excess of the share explained by a sine, over all sets, and the median frequency. Each set is
-/// (frame means, weight): the weight is the part of its variance that the effect claims.
+/// Computes the standardised excess of the share explained by a sine, over all sets, and the median
+/// frequency. Each set is (frame means, weight): the weight is the part of its variance that the effect
+/// claims.
 fn together(sets: &[(&[f64], f64)]) -> Option<(f64, f64)> {
     let mut known = BTreeMap::new();
     let (mut sum, mut variance, mut frequencies) = (0.0, 0.0, Vec::new());
@@ -78,18 +79,18 @@ fn together(sets: &[(&[f64], f64)]) -> Option<(f64, f64)> {
 /// Frames of a set.
 struct Run<'s> {
     means: &'s [f64],
-    /// Part of their variance that the effect claims.
+    /// Part of the variance of the means that the effect claims.
     part: f64,
     /// Expected standard deviation.
     deviation_dn: f64,
-    /// Place of the first one in the campaign.
+    /// Index of the first frame in the campaign.
     first: usize,
 }
 
-/// Chance of a share as large as that of the best sine through the frames of all sets, in the order in which they
-/// were taken, and its period in frames. Means of sets are taken off the frames and off the sines (Lomb 1976;
-/// Scargle 1982), and of n degrees of freedom a sine of a given frequency explains the share s by chance in
-/// (1 - s)^((n - 2) / 2).
+/// Computes the chance of a share as large as that of the best sine through the frames of all sets, in the
+/// order in which they were taken, and its period in frames. Means of sets are subtracted from the frames and
+/// the sines (Lomb 1976; Scargle 1982). With n degrees of freedom, a sine of a given frequency explains the
+/// share s by chance in (1 - s)^((n - 2) / 2).
 fn rhythm(sets: &[Run<'_>]) -> Option<(f64, f64)> {
     let used = || sets.iter().filter(|s| s.means.len() > 1 && s.part > CLAIMED && s.deviation_dn > 0.0);
     let (mut values, mut places, mut of) = (Vec::new(), Vec::new(), Vec::new());
@@ -134,15 +135,16 @@ fn rhythm(sets: &[Run<'_>]) -> Option<(f64, f64)> {
     Some(((one.exp() * 0.5 * steps as f64).min(1.0), 1.0 / at))
 }
 
-/// Part of a set's scatter that an effect must claim for its frames to tell of it (a named choice).
+/// Minimum part of a set's scatter that an effect claims, for the frames of the set to tell of it (a named
+/// choice).
 const CLAIMED: f64 = 0.3;
-/// Most frequencies that are tried.
+/// Maximum number of frequencies that the chance counts.
 const MOST_STEPS: f64 = 2000.0;
-/// Chance below which frames that scatter one by one have no rhythm: as [`SWINGS`].
+/// Chance below which frames have a rhythm; about as strict as [`SWINGS`].
 const NO_RHYTHM: f64 = 1e-3;
 
-/// Standardised excess of the first frame's share of the variance. Of n independent frames, one frame's share
-/// times n / (n - 1) is beta-distributed with 1 / 2 and (n - 2) / 2 (Cochran 1934).
+/// Computes the standardised excess of the first frame's share of the variance. For n independent frames, one
+/// frame's share times n / (n - 1) is beta-distributed with 1 / 2 and (n - 2) / 2 (Cochran 1934).
 fn first_frames(sets: &[(&[f64], f64)]) -> f64 {
     let (mut sum, mut variance) = (0.0, 0.0);
     for (means, weight) in sets.iter().filter(|s| s.0.len() > 2 && s.1 > 0.0) {
@@ -158,8 +160,8 @@ fn first_frames(sets: &[(&[f64], f64)]) -> f64 {
     if variance > 0.0 { sum / variance.sqrt() } else { 0.0 }
 }
 
-/// Standardised agreement of the mean residuals of both halves of each set: sum of the products over the root
-/// of the sum of their squares, normal where signs are random (Efron 1969).
+/// Computes the standardised agreement of the mean residuals of both halves of each set: sum of the products
+/// over the root of the sum of their squares, normal if signs are random (Efron 1969).
 fn alike(all: &Observations, whole: &Fitted) -> f64 {
     let mut of_set: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
     for r in residuals_of(all, whole).iter().filter(|r| r.statistic == mean::Mean.id()) {
@@ -172,8 +174,8 @@ fn alike(all: &Observations, whole: &Fitted) -> f64 {
     if square > 0.0 { sum / square.sqrt() } else { 0.0 }
 }
 
-/// Reason to reject independent frames, for effects that scatter from frame to frame; `None` where all tests
-/// hold.
+/// Returns the reason to reject independent frames, for effects that scatter from frame to frame; `None` if
+/// all tests hold.
 pub fn in_turns(all: &Observations, part: &Part, whole: &Fitted) -> Option<String> {
     part.effect.shown_by().filter(|_| !part.effect.told_by().is_empty())?;
     let prediction = whole.predict(all);
@@ -210,7 +212,7 @@ pub fn in_turns(all: &Observations, part: &Part, whole: &Fitted) -> Option<Strin
     why.into_iter().find(|(z, _)| *z > SWINGS).map(|(_, why)| why)
 }
 
-/// Sets as runs of frames. `deviation_dn`: what is expected of the frames of a set.
+/// Orders sets as runs of frames. `deviation_dn`: expected standard deviation of the frames of a set.
 fn in_order<'s>(
     all: &Observations,
     sets: &[(&'s [f64], f64)],
@@ -235,8 +237,8 @@ fn in_order<'s>(
 mod tests {
     use super::*;
 
-    /// Over 300 campaigns of twelve sets of eight frames: independent frames have a mean of 0 and a deviation
-    /// of 1, within five of their errors; a blink, a beat and a wander lie beyond, and so do single frames.
+    /// Over 300 campaigns of twelve sets of eight frames, independent frames have a mean of 0 and a deviation
+    /// of 1, within five standard errors; a blink, a beat and single frames lie beyond the limit.
     #[test]
     fn swings_are_told_from_independent_frames() {
         let campaigns = 300;
@@ -266,8 +268,8 @@ mod tests {
         let single = of(0, &|s, f, r| if f == s % 8 { 9.0 } else { 0.1 * r.normal() });
         assert!(single.0 < -SWINGS, "{single:?}");
     }
-    /// Of 300 campaigns of twelve sets of six frames with independent frames at most one has a rhythm; a sawtooth
-    /// of 7.3 frames under noise of a third of its deviation has it.
+    /// At most one of 300 campaigns of twelve sets of six independent frames has a rhythm; a sawtooth of 7.3
+    /// frames under noise of a third of its deviation has it.
     #[test]
     fn a_rhythm_through_the_campaign_is_told_from_independent_frames() {
         let of = |campaign: u32, frame: &dyn Fn(usize, &mut PixelRng) -> f64| {

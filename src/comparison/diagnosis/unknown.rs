@@ -1,31 +1,34 @@
-//! `unknown` as a model among models: each statistic is off by a smooth function of the level that nobody has named.
+//! `unknown` as a model among models: each statistic deviates by a smooth function of the level without a
+//! name.
 //!
-//! Kennedy and O'Hagan 2001, J. R. Statist. Soc. B 63, 425 (section 4): a discrepancy function with a prior of its own stands beside the
-//! physics, and its evidence tells whether the physics is enough. Here the function is a sum of cosines of the level's rank whose weights
-//! fall as 1 / (1 + k^2), so that its evidence has a closed form (linear model with a normal prior: Bishop 2006, eq. 3.86). Or every set is
-//! off by a number of its own, which both halves of its frames show.
+//! Kennedy and O'Hagan 2001, J. R. Statist. Soc. B 63, 425 (section 4): a discrepancy function with a prior
+//! of its own stands beside the physics, and its evidence tells whether the physics is enough. Here the
+//! function is a sum of cosines of the level's rank. The variances of its weights fall as 1 / (1 + k^2), so
+//! that its evidence has a closed form (linear model with a normal prior: Bishop 2006, eq. 3.86).
+//! Alternatively every set deviates by a number of its own, which both halves of its frames show.
 
 use crate::fit::cholesky::Factor;
 use crate::inference::Residual;
 use std::collections::BTreeMap;
 
-/// Cosines, from the constant on.
+/// Number of cosines, including the constant.
 const TERMS: usize = 5;
-/// Sizes of the function, in standard errors of a residual, that are tried.
+/// Tested sizes of the function, in standard errors of a residual.
 const SIZES: [f64; 12] = [0.15, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4];
 
-/// Evidence (twice the logarithm of a Bayes factor) that the residuals have such a function or such numbers, summed over the statistics of
-/// sets that gain by it; each pays for its size as BIC has it.
+/// Computes the evidence (twice the logarithm of a Bayes factor) for such a function or such numbers, summed
+/// over the statistics of sets that gain by it. Each pays for its size by BIC.
 pub fn evidence(residuals: &[Residual], observations: f64) -> f64 {
     let mut of: BTreeMap<&str, Vec<&Residual>> = BTreeMap::new();
     residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r));
-    // Of the whole campaign there is one value in each half, and no level.
+    // Statistics of the whole campaign have one value in each half, and no level.
     let of_levels = of.values().filter(|rows| rows.iter().any(|r| r.set.is_some()));
     of_levels.map(|rows| (smooth(rows).max(of_sets(rows)) - observations.ln()).max(0.0)).sum()
 }
 
-/// Every set has a number of its own, normal with the variance q in squares of the error: of k residuals with the sum s the evidence is
-/// q s^2 / (1 + k q) - ln(1 + k q) (the same closed form with one term: Bishop 2006, eq. 3.86).
+/// Computes the evidence that every set has a number of its own, normal with the variance q in squares of the
+/// error. For k residuals with the sum s it is q s^2 / (1 + k q) - ln(1 + k q) (the same closed form with one
+/// term: Bishop 2006, eq. 3.86).
 fn of_sets(rows: &[&Residual]) -> f64 {
     let mut sets: BTreeMap<Option<u32>, (f64, f64)> = BTreeMap::new();
     for r in rows {
@@ -39,7 +42,8 @@ fn of_sets(rows: &[&Residual]) -> f64 {
     SIZES.into_iter().map(gain).fold(0.0, f64::max)
 }
 
-/// The residuals are off by a sum of cosines of the level's rank, whose weights are normal.
+/// Computes the evidence that the residuals deviate by a sum of cosines of the level's rank, with normal
+/// weights.
 fn smooth(rows: &[&Residual]) -> f64 {
     let mut order: Vec<&&Residual> = rows.iter().collect();
     order.sort_by(|a, b| a.level_dn.total_cmp(&b.level_dn));
@@ -56,13 +60,13 @@ fn smooth(rows: &[&Residual]) -> f64 {
     SIZES.into_iter().map(|size| gain(&squares, &with, size * size)).fold(0.0, f64::max)
 }
 
-/// The cosines at a rank from 0 to 1, over what their weights fall by.
+/// Returns the cosines at a rank from 0 to 1, scaled by the decay of their weights.
 fn terms(rank: f64) -> [f64; TERMS] {
     std::array::from_fn(|k| (std::f64::consts::PI * k as f64 * rank).cos() / (1.0 + (k * k) as f64).sqrt())
 }
 
-/// Evidence of weights with this variance: w' (S + 1 / v)^-1 w - ln det(1 + v S), S the terms' squares and w their products with the
-/// residuals (Bishop 2006, eq. 3.86).
+/// Computes the evidence of weights with this variance: w' (S + 1 / v)^-1 w - ln det(1 + v S), with S the
+/// products of the terms and w their products with the residuals (Bishop 2006, eq. 3.86).
 fn gain(squares: &[[f64; TERMS]; TERMS], with: &[f64; TERMS], variance: f64) -> f64 {
     let own = |i: usize, j: usize| if i == j { 1.0 / variance } else { 0.0 };
     let a: Vec<f64> =
@@ -98,14 +102,14 @@ mod tests {
         (0..200).map(row).collect()
     }
 
-    /// Of 200 lists of pure noise at most two show anything; a bend of three standard errors is seen in each.
+    /// At most two of 200 lists of pure noise show anything; a bend of three standard errors is seen in each.
     #[test]
     fn noise_is_no_function_and_a_bend_is() {
         let seen =
             |off: &dyn Fn(f64) -> f64| (0..200).filter(|s| evidence(&rows(*s, off), 200.0) > 9.0).count();
         assert!(seen(&|_| 0.0) <= 2);
         assert_eq!(seen(&|u| 3.0 * (2.0 * u - 1.0)), 200);
-        // Up and down from set to set is no smooth function, and a number of each set.
+        // Alternation from set to set is no smooth function, but it is a number of each set.
         let apart = |u: f64| if ((200.0 * u) as u32 / 4).is_multiple_of(2) { 6.0 } else { -6.0 };
         assert_eq!(seen(&apart), 200);
     }

@@ -1,4 +1,4 @@
-//! What a diagnosis comes to: one type that every verb, the demo and the reports print.
+//! Verdict of a diagnosis: one type that all commands, the demo and the reports print.
 
 use super::sensor::tells_gain;
 use super::{Cost, Missing, Proposal, Remainder};
@@ -14,36 +14,36 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "lowercase", tag = "kind")]
 #[non_exhaustive]
 pub enum Verdict {
-    /// The model that was given describes the campaign.
+    /// The given model describes the campaign.
     Describes {
-        /// How well.
+        /// Agreement grade.
         agreement: Agreement,
-        /// In plain words.
+        /// Verdict in plain words.
         sentence: String,
     },
-    /// Effects are missing, and with them the campaign comes down to the noise.
+    /// Effects are missing; with them the residuals come down to the noise.
     Named {
-        /// The strongest.
+        /// Strongest effect.
         effect: String,
-        /// What this campaign cannot tell from it.
+        /// Effects that this campaign cannot tell from it.
         or: Vec<String>,
-        /// In plain words.
+        /// Verdict in plain words.
         sentence: String,
-        /// The first of its sentences.
+        /// First sentence of the verdict.
         #[serde(default)]
         brief: String,
     },
-    /// Something is missing that has no name here.
+    /// Something is missing that has no name in the catalogue.
     Unknown {
-        /// The names that come nearest.
+        /// Nearest names.
         nearest: Vec<String>,
-        /// In plain words.
+        /// Verdict in plain words.
         sentence: String,
     },
 }
 
 impl Verdict {
-    /// In plain words.
+    /// Returns the verdict in plain words.
     pub fn sentence(&self) -> &str {
         match self {
             Self::Describes { sentence, .. }
@@ -52,7 +52,7 @@ impl Verdict {
         }
     }
 
-    /// First sentence: effect, size, cost and remedy.
+    /// Returns the first sentence: effect, size, cost and remedy.
     pub fn brief(&self) -> &str {
         match self {
             Self::Named { brief, .. } if !brief.is_empty() => brief,
@@ -60,8 +60,8 @@ impl Verdict {
         }
     }
 
-    /// Verdict on the effects found. `whole`: the model with all of them. `left_on`: camera settings that
-    /// changed its pixels.
+    /// Builds the verdict on the effects found. `whole`: the model with all of them. `left_on`: camera
+    /// settings that changed its pixels.
     pub(super) fn of(
         missing: &[Missing],
         remainder: Option<&Remainder>,
@@ -165,7 +165,7 @@ impl Verdict {
     }
 }
 
-/// Says how the camera agrees with the model; where that is in doubt, with the statistic that deviates most.
+/// States how the camera agrees with the model; in doubt, also the statistic that deviates most.
 fn agrees(first: &Comparison) -> String {
     if first.agreement != Agreement::Doubtful {
         return "agrees with the model to within the noise of this campaign.".into();
@@ -177,7 +177,7 @@ fn agrees(first: &Comparison) -> String {
     )
 }
 
-/// A value with its error; of one that is not known to half of itself, that.
+/// Formats a value with its error, or states that it is not determined to within half of itself.
 fn told(name: &str, value: f64, std_err: f64, unit: &'static str) -> String {
     if std_err.is_finite() && std_err < 0.5 * value.abs() {
         return format!("{name} {}", with_unit(value, std_err, unit));
@@ -185,8 +185,8 @@ fn told(name: &str, value: f64, std_err: f64, unit: &'static str) -> String {
     format!("{name} not determined by this campaign")
 }
 
-/// The verdict on named effects. The first sentence says what, how much, what it costs and what to do; the
-/// others what else there is, where it comes from, and what more can be done.
+/// Writes the verdict on named effects. The first sentence has the effect, its size, its cost and the remedy;
+/// the others have further effects, origins and further remedies.
 fn sentences(
     top: &Missing,
     or: &[String],
@@ -262,7 +262,8 @@ fn sentences(
     (format!("{}.", head.trim_end_matches('.')), rest.trim_start().into())
 }
 
-/// The parameter that says how strong an effect is: of those that may be 0 the one that is known best.
+/// Returns the parameter that measures an effect's strength: the best known of those that may be 0, else the
+/// first other one.
 fn main_size(m: &Missing) -> Option<(&'static Parameter, &Quantity)> {
     let effect = find(&m.effect)?;
     let sizes = effect.parameters().iter().filter_map(|p| Some((p, m.parameters.get(p.name)?)));
@@ -272,7 +273,7 @@ fn main_size(m: &Missing) -> Option<(&'static Parameter, &Quantity)> {
     sizes.into_iter().max_by(|a, b| known(a.1).total_cmp(&known(b.1))).or_else(|| others.into_iter().next())
 }
 
-/// Strength of an effect behind its name.
+/// Returns the strength of an effect, to follow its name.
 fn of_size(m: &Missing) -> String {
     m.size().map_or(String::new(), |size| match size {
         Size::Open => " of a size that this campaign does not determine".into(),
@@ -282,14 +283,14 @@ fn of_size(m: &Missing) -> String {
 
 /// Strength of an effect.
 pub enum Size {
-    /// In words, with its error; sizes without a unit in per cent.
+    /// Size in words, with its error; sizes without a unit in per cent.
     Known(String),
-    /// Not known to half of itself.
+    /// Size that is not known to half of itself.
     Open,
 }
 
 impl Missing {
-    /// Its strength, by its main parameter; `None` where it has none.
+    /// Returns the strength by the main parameter; `None` without one.
     pub(crate) fn size(&self) -> Option<Size> {
         let (p, q) = main_size(self)?;
         Some(if q.std_err >= 0.5 * q.value.abs() {
@@ -301,7 +302,8 @@ impl Missing {
         })
     }
 
-    /// Errors of an EMVA 1288 evaluation that ignores it, in few words; `None` where they are negligible.
+    /// Returns the errors of an EMVA 1288 evaluation that ignores the effect, in few words; `None` if they
+    /// are negligible.
     pub(crate) fn costs(&self, whole: &Fitted) -> Option<String> {
         let parts = said(&self.cost, whole, |what, rel, decimals| {
             let ratio = (1.0 + rel).max(1e-9);
@@ -314,13 +316,13 @@ impl Missing {
         (!parts.is_empty()).then(|| format!("{}{}", self.at_worst(), parts.join(", ")))
     }
 
-    /// Words before the cost where it is that of the costlier of two forms.
+    /// Returns the words before the cost if it is that of the costlier of two forms.
     fn at_worst(&self) -> &'static str {
         if self.or_form.is_some() || self.by_the_darks_alone { "at worst " } else { "" }
     }
 }
 
-/// Meaning of its size and its form.
+/// Returns the meaning of an effect's size and form.
 fn meaning(m: &Missing) -> Option<String> {
     let size = main_size(m).map(|(p, _)| p.plain_meaning().to_string());
     let form = m.form.clone().map(|form| match &m.or_form {
@@ -331,14 +333,14 @@ fn meaning(m: &Missing) -> Option<String> {
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 
-/// Share of the misfit, and cost, below which an effect is listed without them.
+/// Minimum share of the misfit, or minimum cost, for an effect to be listed with them.
 pub(crate) const WEAK: f64 = 0.01;
-/// Costs below this share are not said: no one measures a gain to a thousandth (EMVA 1288 asks for no more
-/// than a per cent).
+/// Minimum cost that is reported: no one measures a gain to a thousandth (EMVA 1288 asks for no more than a
+/// per cent).
 const SAID: f64 = 1e-3;
 
-/// The parts of a cost that are not negligible, each as `word` says it. Gain and read noise are named only if
-/// the cost exceeds their errors.
+/// Returns the parts of a cost that are not negligible, each formatted by `word`. Gain and read noise are
+/// named only if the cost exceeds their errors.
 fn said(cost: &Cost, whole: &Fitted, word: impl Fn(&str, f64, usize) -> String) -> Vec<String> {
     let (base, errors) = (&whole.base, &whole.base_std_err);
     let rel =
@@ -354,7 +356,7 @@ fn said(cost: &Cost, whole: &Fitted, word: impl Fn(&str, f64, usize) -> String) 
     .collect()
 }
 
-/// Cost in words; `None` where it is negligible.
+/// Returns the cost in words; `None` if it is negligible.
 fn cost(cost: &Cost, whole: &Fitted) -> Option<String> {
     let parts = said(cost, whole, |what, rel, decimals| match what {
         "LE" => format!("the linearity error LE larger by {}", percent(rel)),
@@ -365,7 +367,7 @@ fn cost(cost: &Cost, whole: &Fitted) -> Option<String> {
     Some(if first.is_empty() { last.clone() } else { format!("{} and {last}", first.join(", ")) })
 }
 
-/// A ratio in words: per cent as long as they say something, then a factor.
+/// Formats a ratio: per cent below a factor of 2, beyond it a factor.
 fn wrong_by(ratio: f64, decimals: usize) -> String {
     let high = if ratio > 1.0 { "high" } else { "low" };
     let factor = ratio.max(1.0 / ratio);
@@ -378,7 +380,7 @@ fn wrong_by(ratio: f64, decimals: usize) -> String {
     }
 }
 
-/// A text with a capital letter at its beginning.
+/// Capitalises the first letter of a text.
 pub(crate) fn capital(id: &str) -> String {
     let mut letters = id.chars();
     letters.next().map_or(String::new(), |first| first.to_uppercase().collect::<String>() + letters.as_str())

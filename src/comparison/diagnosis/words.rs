@@ -1,22 +1,22 @@
-//! Residuals in words: which statistics deviate, how they scale, along which axis and in which frames.
+//! Residuals in words: statistics that deviate, their scaling, their axis and their frames.
 
 use crate::inference::Residual;
 use crate::number::pretty;
 
-/// What one statistic does.
+/// Deviation of one statistic.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Signature {
     /// Its name.
     pub name: String,
-    /// In words.
+    /// Description in words.
     pub text: String,
-    /// Root of the mean square of its residuals.
+    /// Root mean square of its residuals.
     pub rms: f64,
-    /// Chi-square over what is expected, in standard deviations.
+    /// Chi-square above its expectation, in standard deviations.
     pub excess: f64,
 }
 
-/// The statistics whose residuals are larger than chance allows, worst first.
+/// Returns the statistics whose residuals are larger than chance allows, worst first.
 pub fn signatures(residuals: &[Residual]) -> Vec<Signature> {
     let mut names: Vec<&String> = residuals.iter().map(|r| &r.observable).collect();
     names.sort();
@@ -40,10 +40,10 @@ pub fn signatures(residuals: &[Residual]) -> Vec<Signature> {
     out
 }
 
-/// Darks: below this level, DN, a set has hardly any light (a named choice).
+/// Maximum level of a set with hardly any light, DN (a named choice).
 const DARK_DN: f64 = 20.0;
 
-/// Deviations beyond so many times what is predicted are said in their unit and not in per cent (a named
+/// Ratio of a deviation to the prediction above which it is given in its unit and not in per cent (a named
 /// choice).
 const MANY_TIMES: f64 = 10.0;
 
@@ -73,14 +73,14 @@ fn describe(name: &str, of: &[&Residual]) -> String {
     format!("{name}{place}: {off}, {:+.decimals$} standard errors{grows} ({})", worst.z, worst.meaning)
 }
 
-/// Whether darks deviate by twice their errors, of at least three among four.
+/// Returns true if darks deviate by twice their errors: at least three darks among at least four residuals.
 fn darks_deviate(of: &[&Residual]) -> bool {
     let dark: Vec<f64> =
         of.iter().filter(|r| r.set.is_some() && r.level_dn < DARK_DN).map(|r| r.z * r.z).collect();
     of.len() >= 4 && dark.len() >= 3 && dark.iter().sum::<f64>() / dark.len() as f64 > 4.0
 }
 
-/// The power with which the deviation grows with the mean, where the residuals are large enough to tell.
+/// Returns the power of the mean with which the deviation grows, if the residuals are large enough to tell.
 fn power(of: &[&Residual]) -> Option<f64> {
     let points: Vec<(f64, f64, f64)> = of
         .iter()

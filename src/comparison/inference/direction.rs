@@ -1,4 +1,4 @@
-//! What moving the expectations in some direction would bring, before anything is fitted.
+//! Score test: gain of a move of the expectations, before anything is fitted.
 
 use super::layout::State;
 use super::normal::{Normal, Solver};
@@ -6,18 +6,18 @@ use super::system::System;
 use crate::fit::cholesky::Factor;
 use crate::observables::Expected;
 
-/// By how much minus twice the logarithm of the likelihood falls.
+/// Drop in minus twice the log likelihood.
 #[derive(Debug, Clone, Copy)]
 pub struct Gain {
-    /// For the whole of a move.
+    /// Drop for the whole of a move.
     pub whole: f64,
-    /// The multiple of the move that is best, if it is in proportion.
+    /// Best multiple of the move, if it is in proportion.
     pub multiple: f64,
-    /// What that would bring.
+    /// Drop at the best multiple.
     pub best: f64,
 }
 
-/// What moving the expectations in a direction would bring, everything else fitted: a score test (Rao 1973, section 6e).
+/// Score test of a move of the expectations, with everything else fitted (Rao 1973, section 6e).
 pub struct Direction<'s, 'a> {
     system: &'s System<'a>,
     normal: Normal,
@@ -25,34 +25,34 @@ pub struct Direction<'s, 'a> {
 }
 
 impl<'s, 'a> Direction<'s, 'a> {
-    /// At the place of a fit; `None` where its values cannot be told apart.
+    /// Prepares the test at a fit; `None` if the fitted values cannot be told apart.
     pub fn new(system: &'s System<'a>) -> Option<Self> {
         let normal = system.normal();
         Some(Self { solver: normal.solver(1e-9)?, normal, system })
     }
 
-    /// What a scatter of settings that follows brings beyond that: of m of them with the sum of squares S that falls to T the likelihood
-    /// gains m ln(S / T), and not S - T.
+    /// Returns the further gain because the scatter of settings follows. For m settings whose sum of squares
+    /// falls from S to T, the likelihood gains m ln(S / T), and not S - T.
     fn narrower(&self, settings: &[(f64, f64)]) -> f64 {
         let m: f64 = self.system.blocks.iter().map(|b| b.told).sum();
         let (before, after) = settings.iter().fold((0.0, 0.0), |(a, b), (x, y)| (a + x * x, b + y * y));
         if m < 4.0 || after >= before {
             return 0.0;
         }
-        // The scatter cannot fall below what the frames themselves have.
+        // The scatter cannot fall below that of the frames.
         let floor: f64 = self.system.blocks.iter().map(|b| 1.0 / b.weight / b.variance).sum();
         (m * (before / after.max(floor)).ln() - (before - after)).max(0.0)
     }
 
-    /// What a move from `now` to `there` leaves once the fitted values have taken over what they can of it; `None` where that cannot be
-    /// told.
+    /// Computes the rest of a move from `now` to `there`, once the fitted values have absorbed what they can;
+    /// `None` if it is not finite.
     pub fn left_of(&self, now: &State, there: &State) -> Option<Vec<f64>> {
         let mut moves = self.moves(now, there);
         self.take_over(&mut moves);
         moves.iter().all(|m| m.is_finite()).then_some(moves)
     }
 
-    /// By how many errors the rows move.
+    /// Computes the moves of the rows, in standard errors.
     fn moves(&self, now: &State, there: &State) -> Vec<f64> {
         let of = |(a, b): (&Expected, &Expected)| (b.normal.1 - a.normal.1) / a.normal.2;
         let mut moves: Vec<f64> = now.expected.iter().zip(&there.expected).map(of).collect();
@@ -64,7 +64,7 @@ impl<'s, 'a> Direction<'s, 'a> {
         moves
     }
 
-    /// Takes off what the fitted values can follow.
+    /// Subtracts the part of the moves that the fitted values can follow.
     fn take_over(&self, moves: &mut [f64]) {
         let (s, n) = (self.system, self.system.n);
         let mut gradient = vec![0.0; n];
@@ -86,7 +86,7 @@ impl<'s, 'a> Direction<'s, 'a> {
         }
     }
 
-    /// What a move that leaves this would bring.
+    /// Computes the gain of a move with this rest; `None` if there is no rest.
     pub fn gain(&self, left: &[f64]) -> Option<Gain> {
         let s = self.system;
         let (mut with, mut square) = (0.0, 0.0);
@@ -104,7 +104,7 @@ impl<'s, 'a> Direction<'s, 'a> {
         Some(Gain { whole, multiple: with / square, best: with * with / square })
     }
 
-    /// From a move that leaves `from`, the multiples of further moves that together bring most.
+    /// Computes the multiples of further moves that together gain most, after a move with the rest `from`.
     pub fn together(&self, from: &[f64], moves: &[Vec<f64>]) -> Option<Vec<f64>> {
         let k = moves.len();
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();

@@ -1,7 +1,7 @@
-//! Whole steps of the exposure that the levels of the flats follow: where a search for them begins.
+//! Start of a search for whole steps of the exposure that the levels of the flats follow.
 //!
-//! Under a light that stays a level tells how many steps its exposure had, and the scale of the steps goes with
-//! the light: a step is known between the two at which any exposure has one step more or less.
+//! Under constant light a level tells how many steps its exposure had, and the scale of the steps goes with
+//! the light. A step is known only between the two values at which any exposure has one step more or less.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -12,45 +12,45 @@ use radcam_sim::effects::{ExposureStep, steps_of_a_number, whole_steps};
 use crate::observables::{Observations, gaps, mean};
 use radcam_sim::predict::BaseParameters;
 
-/// Different exposures at one light below which a staircase says nothing: two of them take the light and the
-/// step (a named choice).
+/// Minimum number of different exposures at one light: light and step take two of them (a named choice).
 const MIN_EXPOSURES: usize = 5;
 
-/// Evidence asked beyond the price of the choice among all steps that are tried: twice the logarithm of a ratio
-/// of 150 (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 773: very strong).
+/// Minimum evidence beyond the price of the choice among all steps that are tried: twice the logarithm of a
+/// ratio of 150 (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 773: very strong).
 const EVIDENCE: f64 = 10.0;
 
-/// Squared deviations above the least up to which a step fits as well: three standard errors.
+/// Maximum excess of the squared deviations over the minimum for a step that fits as well: three standard
+/// errors.
 const AS_WELL: f64 = 9.0;
 
 /// Shapes of whole steps: cut, rounded, rounded up.
 const SHAPES: [f64; 3] = [1.0, 2.0, 3.0];
 
-/// Share of single codes that never occur from which on codes were multiplied (a named choice).
+/// Minimum share of single codes that never occur if codes were multiplied (a named choice).
 const LEFT_OUT: f64 = 1e-3;
 
-/// Steps that are tried at most, of each shape.
+/// Maximum number of steps tried, of each shape.
 const MOST: f64 = 10_000.0;
 
-/// Errors of a lamp that is not set anew, relative, that are tried.
+/// Tested relative errors of a lamp that is not set anew.
 const LAMPS: [f64; 4] = [3e-5, 1e-4, 3e-4, 1e-3];
 
-/// Error of a level at least, DN: how exactly means are kept.
+/// Minimum error of a level, DN: resolution of the stored means.
 const KEPT_DN: f64 = 0.002;
 
 /// Level of a set.
 #[derive(Clone, Copy)]
 struct Level {
     exposure_s: f64,
-    /// Its lamp level, at which the light stays, and the light relative to that; `None`: a dark.
+    /// Lamp level, at which the light stays, and the light relative to that; `None`: a dark.
     light: Option<(usize, f64)>,
-    /// Above black level and dark charge, DN.
+    /// Signal above black level and dark charge, DN.
     signal_dn: f64,
     /// One over its squared error.
     weight: f64,
 }
 
-/// Levels in proportion to exposures, above one offset: what is left of the black level's error.
+/// Levels in proportion to exposures, above one offset: the remaining error of the black level.
 struct Line {
     offset_dn: f64,
     /// Rate of each light.
@@ -58,7 +58,7 @@ struct Line {
 }
 
 impl Line {
-    /// Fits one by weighted least squares, where exposures are `of` a level.
+    /// Fits a line by weighted least squares; `of`: exposure of a level.
     fn through(levels: &[Level], of: impl Fn(&Level) -> f64) -> Self {
         let lights = levels.iter().filter_map(|l| Some(l.light?.0)).max().map_or(0, |l| l + 1);
         // Weighted sums of each light (x, x x, x y) and of all levels (1, y).
@@ -82,16 +82,17 @@ impl Line {
         Self { offset_dn, rates_dn_per_s: sums.iter().map(rate).collect() }
     }
 
-    /// Measured less expected, DN.
+    /// Returns the measured minus the expected level, DN.
     fn deviation_dn(&self, l: &Level, exposure_s: f64) -> f64 {
         let rate = l.light.map_or(0.0, |(light, ratio)| self.rates_dn_per_s[light] * ratio);
         l.signal_dn - self.offset_dn - rate * exposure_s
     }
 }
 
-/// Best step of each shape that describes the levels far better than a constant time or settings of their own do.
+/// Finds the best step of each shape that describes the levels far better than a constant time, or a light or
+/// exposure of its own for each set.
 pub(super) fn likely(all: &Observations, base: &BaseParameters) -> [Option<ExposureStep>; 3] {
-    // Codes that are multiplied put every level off by its own part of a code.
+    // Multiplied codes shift every level by its own part of a code.
     let is_multiplied = || all.of(&gaps::Gaps).any(|o| o.index == 0 && o.measured.value > LEFT_OUT);
     let find = || if is_multiplied() { [None; 3] } else { of_levels(&levels(all, base)) };
     *all.exposure_steps.get_or_init(find)
@@ -106,13 +107,13 @@ fn of_levels(levels: &[Level]) -> [Option<ExposureStep>; 3] {
         return [None; 3];
     };
     let constant = left_by_a_constant(levels);
-    // The least step that shows: two standard errors of the level that tells a time best.
+    // Smallest step that shows: two standard errors of the level that tells a time best.
     let rate = |l: &Level| l.signal_dn / l.exposure_s;
     let least = lit().map(|l| 2.0 / (rate(l) * l.weight.sqrt())).fold(f64::INFINITY, f64::min);
     if constant < EVIDENCE || !(least > 0.0 && least < longest) {
         return [None; 3];
     }
-    // Steps at which the longest exposure has a third of a step more are another trial.
+    // The next step tried gives the longest exposure a third of a step more.
     let least = least.max(3.0 * longest / MOST);
     let number = 3.0 * longest / least;
     let enough = constant.min(left_by_settings(levels)).min(left_by_times(levels))
@@ -140,7 +141,7 @@ fn of_levels(levels: &[Level]) -> [Option<ExposureStep>; 3] {
     tracing::debug!("  steps of the exposure: {constant:.1} -> {best:.1}, asked {enough:.1}");
     SHAPES.map(|shape| {
         let own = tried.iter().filter(|(_, s)| s.shape == shape).min_by(|a, b| a.0.total_cmp(&b.0))?.1;
-        // The distance to each other one, over the standard errors by which it fits worse.
+        // Distance to each other one, over the standard errors by which it fits worse.
         let away =
             |(left, s): &(f64, ExposureStep)| (s.step_s - own.step_s).abs() / (left - best).max(1.0).sqrt();
         let far = tried.iter().map(away).fold(0.0, f64::max);
@@ -148,7 +149,7 @@ fn of_levels(levels: &[Level]) -> [Option<ExposureStep>; 3] {
     })
 }
 
-/// Levels of the sets.
+/// Computes the levels of the sets.
 fn levels(all: &Observations, base: &BaseParameters) -> Vec<Level> {
     let gain = base.gain_dn_per_e;
     let of = |o: &crate::observables::Observable| {
@@ -158,7 +159,7 @@ fn levels(all: &Observations, base: &BaseParameters) -> Vec<Level> {
         let frames = (o.frames.1 - o.frames.0).max(1) as f64;
         let noise_dn2 = gain * (signal_dn.max(0.0) + gain * base.read_noise_e.powi(2));
         let scatter_dn2 = (noise_dn2 / o.pixels.max(1.0)).max(o.frame_means.1) / frames;
-        // The largest error of a mean that is rounded to codes (Widrow and Kollar 2008, ch. 4), over root two.
+        // Largest error of a mean rounded to codes (Widrow and Kollar 2008, ch. 4), over root two.
         let unrounded_dn2 = noise_dn2 + set.spread_dn.powi(2);
         let rounding_dn = (-2.0 * PI.powi(2) * unrounded_dn2).exp() / (PI * 2.0_f64.sqrt());
         let var_dn2 = scatter_dn2 + KEPT_DN.powi(2) + rounding_dn.powi(2);
@@ -183,34 +184,35 @@ fn levels(all: &Observations, base: &BaseParameters) -> Vec<Level> {
     sets.into_values().collect()
 }
 
-/// Levels whose light has an error, relative, too, and the sum of the logarithms of the variances over those
-/// without it.
+/// Adds a relative error of the light to the levels. Also returns the sum of the log ratios of the variances
+/// with and without it.
 fn widened(levels: &[Level], rel: f64) -> (Vec<Level>, f64) {
     widened_by(levels, |l| rel * l.signal_dn)
 }
 
-/// Levels that have another error, DN, too, where they are lit.
+/// Adds another error, DN, to the lit levels.
 fn widened_by(levels: &[Level], error_dn: impl Fn(&Level) -> f64) -> (Vec<Level>, f64) {
     let by = |l: &Level| 1.0 + if l.light.is_some() { l.weight * error_dn(l).powi(2) } else { 0.0 };
     let wide = levels.iter().map(|l| Level { weight: l.weight / by(l), ..*l }).collect();
     (wide, levels.iter().map(|l| by(l).ln()).sum())
 }
 
-/// Sum of the squared deviations, in standard errors, from levels in proportion to exposures `of` a level.
+/// Computes the sum of the squared deviations, in standard errors, from levels in proportion to exposures
+/// `of` a level.
 fn left(levels: &[Level], of: impl Fn(&Level) -> f64) -> f64 {
     let line = Line::through(levels, &of);
     levels.iter().map(|l| l.weight * line.deviation_dn(l, of(l)).powi(2)).sum()
 }
 
-/// Deviance where each set has a light of its own, with the scatter that is likeliest: twice the negative
-/// logarithm of the likelihood, over that of levels without an error.
+/// Computes the deviance if each set has a light of its own, with the likeliest scatter: minus twice the log
+/// likelihood, relative to levels without an error.
 fn left_by_settings(levels: &[Level]) -> f64 {
     let at = |rel: f64| with_an_error(levels, |l| rel * l.signal_dn);
     (0..SCATTERS).map(|k| at(1e-5 * 1.25_f64.powi(k))).fold(at(0.0), f64::min)
 }
 
-/// Deviance where each set has an exposure of its own, with the scatter that is likeliest: what a few dim levels
-/// do, as near black, are no steps.
+/// Computes the deviance if each set has an exposure of its own, with the likeliest scatter: deviations of a
+/// few dim levels, as near black, are no steps.
 fn left_by_times(levels: &[Level]) -> f64 {
     let longest_s = levels.iter().map(|l| l.exposure_s).fold(0.0, f64::max);
     let at = |time_s: f64| with_an_error(levels, |l| time_s * l.signal_dn / l.exposure_s);
@@ -223,15 +225,15 @@ fn with_an_error(levels: &[Level], error_dn: impl Fn(&Level) -> f64) -> f64 {
     wider + levels.iter().map(|l| l.weight * line.deviation_dn(l, l.exposure_s).powi(2)).sum::<f64>()
 }
 
-/// Scatters of settings and times that are tried, each a quarter larger than the one before: to 0.6.
+/// Number of tested scatters of settings and times, each a quarter larger than the one before: to 0.6.
 const SCATTERS: i32 = 50;
 
 fn left_by_steps(levels: &[Level], shape: f64, step_s: f64) -> f64 {
     left(levels, |l| whole_steps(shape, step_s, l.exposure_s) * step_s)
 }
 
-/// Sum of the squared deviations with the best constant time beside the exposures, by the least of a parabola
-/// through three.
+/// Computes the sum of the squared deviations with the best constant time added to the exposures, at the
+/// minimum of a parabola through three points.
 fn left_by_a_constant(levels: &[Level]) -> f64 {
     let lit = levels.iter().filter(|l| l.light.is_some());
     let shortest = lit.map(|l| l.exposure_s).fold(f64::INFINITY, f64::min);
@@ -249,11 +251,12 @@ fn left_by_a_constant(levels: &[Level]) -> f64 {
     at(t0_s).min(at(0.0))
 }
 
-/// Rounds in which the constant time is found.
+/// Number of iterations to find the constant time.
 const ROUNDS: usize = 8;
 
-/// Middle of the steps that give every exposure the same number of steps, and the standard deviation of a uniform
-/// distribution over them; `None` where no exposure has two steps, so that none is too long.
+/// Returns the middle of the steps that give every exposure the same number of steps, and the standard
+/// deviation of a uniform distribution over them; `None` if no exposure has two steps, so that none is too
+/// long.
 fn between(exposures: &[f64], shape: f64, step_s: f64) -> Option<ExposureStep> {
     let (mut low, mut high) = (0.0_f64, f64::INFINITY);
     for t in exposures {
@@ -271,7 +274,8 @@ fn between(exposures: &[f64], shape: f64, step_s: f64) -> Option<ExposureStep> {
 mod tests {
     use super::*;
 
-    /// Levels of twelve exposures with an error of `rel`, by a camera that exposes for `of` them.
+    /// Levels of twelve exposures with a relative error of `rel`, by a camera that exposes for `of` the
+    /// nominal time.
     fn levels(of: impl Fn(f64) -> f64, rel: f64, seed: u64) -> Vec<Level> {
         let mut random = radcam_sim::rng::PixelRng::new(seed, radcam_sim::rng::Stream::Effect, 0, 0, 0);
         (0..12)
@@ -292,7 +296,8 @@ mod tests {
         assert!((all / 100.0 - 9.0).abs() < 2.1, "{}", all / 100.0);
     }
 
-    /// Ten campaigns each: lamps that do not come back have no steps, and steps are found with their shape.
+    /// Ten campaigns each: lamps that do not return to their setting show no steps, and steps are found with
+    /// their shape.
     #[test]
     fn steps_are_told_from_settings() {
         for seed in 0..10 {

@@ -1,9 +1,9 @@
 //! Fits a model's free parameters to observables: generalised least squares with errors that the model itself
 //! predicts.
 //!
-//! Within a round the errors are held (quasi-likelihood: McCullagh and Nelder 1989, ch. 9), so that no
-//! parameter gains by widening the error of something else: flicker is told by the scatter of frames, and the
-//! scatter of a lamp's settings by that of sets.
+//! Errors are held within a round (quasi-likelihood: McCullagh and Nelder 1989, ch. 9), so that no parameter
+//! gains by widening the error of something else. The scatter of frames tells flicker; the scatter of sets
+//! tells that of a lamp's settings.
 
 use super::free::{Common, Free, Point};
 use super::iteration::{Effort, FAR_SQUARE, Iteration};
@@ -21,7 +21,7 @@ use std::sync::{Arc, OnceLock};
 /// A model with values: the paper's parameters and effects.
 #[derive(Clone)]
 pub struct Fitted {
-    /// The paper's.
+    /// Paper's parameters.
     pub base: BaseParameters,
     /// Effects with their parameters.
     pub effects: Effects,
@@ -33,13 +33,13 @@ pub struct Fitted {
     pub std_err: Vec<Vec<f64>>,
     /// Standard errors of A, read noise, offset, dark current, and of the spread of the read noise.
     pub base_std_err: [f64; 5],
-    /// What was free, where it came to lie, and its covariance.
+    /// Free values, their fitted point, and its covariance.
     pub(super) free: Free,
     pub(super) point: Point,
     pub(super) covariance: Covariance,
-    /// Slopes there or near.
+    /// Slopes at that point or near it.
     pub(super) slopes: Arc<Slopes>,
-    /// Comparison with the first observations that it was compared with, and which those are.
+    /// Comparison with the first observations, and the identity of those.
     pub(super) compared: Arc<OnceLock<(u64, Comparison)>>,
 }
 
@@ -51,29 +51,29 @@ impl std::fmt::Debug for Fitted {
 }
 
 impl Fitted {
-    /// Light levels of which nothing is known but what they do to the means.
+    /// Counts the light levels that only the means determine.
     pub(crate) fn open_lights(&self) -> usize {
         self.free.lights.iter().filter(|light| light.known.is_none()).count()
     }
 
-    /// The prediction for all sets.
+    /// Predicts all sets.
     pub fn predict(&self, all: &Observations) -> Prediction {
         let list: Vec<(&dyn Effect, &[f64])> = self.effects.iter().map(|(e, p)| (*e, p.as_slice())).collect();
         effects::predict(&all.campaign, &self.base, &list)
     }
 
-    /// The same effects beside another guess of the paper's parameters. What was free and with which errors
-    /// stays that of the fit: it says nothing of the guess.
+    /// Returns the same effects with another guess of the paper's parameters. Free values and errors stay
+    /// those of the fit and say nothing of the guess.
     pub fn with_base(&self, base: BaseParameters) -> Self {
         Self { base, compared: Arc::default(), ..self.clone() }
     }
 
-    /// Memory that it takes, about.
+    /// Returns the approximate memory use, bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.slopes.bytes()
     }
 
-    /// Covariance of two parameters of an effect, in their own units.
+    /// Returns the covariance of two parameters of an effect, in their own units.
     pub fn covariance_of(&self, effect: usize, a: usize, b: usize) -> f64 {
         let place = |k: usize| self.free.place(Common::Of(effect, k));
         let (Some(i), Some(j)) = (place(a), place(b)) else { return f64::NAN };
@@ -81,7 +81,7 @@ impl Fitted {
         self.covariance.common[i * n + j] * self.free.scale[i] * self.free.scale[j]
     }
 
-    /// Standard error of a combination of an effect's parameters.
+    /// Returns the standard error of a combination of an effect's parameters.
     pub fn std_err_of(&self, effect: usize, of: &Together) -> f64 {
         let places: Vec<usize> = (0..of.slopes.len()).filter(|k| of.slopes[*k] != 0.0).collect();
         let covariance = |a: usize, b: usize| of.slopes[a] * of.slopes[b] * self.covariance_of(effect, a, b);
@@ -89,7 +89,7 @@ impl Fitted {
         all.sum::<f64>().max(0.0).sqrt()
     }
 
-    /// Parameters of the effects that were fitted: all but choices and those that the choices do not use.
+    /// Counts the fitted parameters of the effects: all but choices and those that the choices do not use.
     pub fn parameters(&self) -> usize {
         let of = |(c, fixed): (&Common, &bool)| matches!(c, Common::Of(..)) && !fixed;
         self.free.common.iter().zip(&self.free.fixed).filter(|p| of(*p)).count()
@@ -101,20 +101,20 @@ pub fn fit(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitt
     fit_for(Effort::Full, all, None, base, effects, None)
 }
 
-/// The same beside another fit whose slopes serve at first; a model that is far off, as exactly as it is to
-/// be compared with others.
+/// Fits beside another fit, whose slopes serve at first. A model that is far off is fitted only as exactly as
+/// a comparison with others needs.
 pub(crate) fn fit_near(all: &Observations, near: &Fitted, effects: &Effects) -> Fitted {
     fit_for(Effort::Rival, all, None, &near.base, effects, Some(&near.slopes))
 }
 
-/// A fit again, on the observables of one half and those of both. Where it is far off few rounds will do: the
-/// halves tell how far.
+/// Refits on the observables of one half and those of both halves, starting from the joint fit. Few rounds
+/// suffice for a model that is far off: the halves tell how far.
 pub(super) fn fit_half(all: &Observations, half: Half, whole: &Fitted) -> Fitted {
     let effort = if whole.mean_square > FAR_SQUARE { Effort::Short } else { Effort::Full };
     fit_for(effort, all, Some(half), &whole.base, &whole.effects, Some(&whole.slopes))
 }
 
-/// The same for a few rounds: enough to see which of several starts is the best.
+/// Fits for a few rounds, enough to find the best of several starts.
 pub(crate) fn fit_briefly(
     all: &Observations,
     base: &BaseParameters,
@@ -124,7 +124,7 @@ pub(crate) fn fit_briefly(
     fit_for(Effort::Look, all, None, base, effects, known)
 }
 
-/// Halves that a fit uses.
+/// Returns the halves that a fit uses.
 pub(super) fn halves(half: Option<Half>) -> Vec<Half> {
     match half {
         Some(half) => vec![half, Half::Both],
@@ -143,7 +143,7 @@ fn fit_for(
     let layout = Layout::new(all, &halves(half), effects.iter().map(|(e, _)| e));
     let (mut free, start) = Free::new(all, base, effects);
     let start = if base.past_e.is_none() { from_past(&layout, &free, start) } else { start };
-    // What a half says nothing of is what the whole campaign says.
+    // A value that a half does not tell stays that of the whole campaign.
     if let Some(dark) = free.place(Common::Dark).filter(|_| !all.tells_dark_current(half)) {
         free.fixed[dark] = true;
     }
@@ -190,11 +190,12 @@ fn fit_for(
     }
 }
 
-/// Charges before the first frame that a fit begins from, of the brightest flat's (a named choice).
+/// Charges before the first frame from which a fit may start, relative to that of the brightest flat (a named
+/// choice).
 const PAST: [f64; 4] = [0.0, 0.1, 0.3, 1.0];
 
-/// The start with the charge before the first frame that comes nearest: a camera that keeps whole codes shows
-/// nothing of little charge, and from none no slope leads on.
+/// Returns the start with the charge before the first frame that fits best. A camera that keeps whole codes
+/// shows nothing of a small charge, and the slope at no charge leads nowhere.
 fn from_past(layout: &Layout<'_>, free: &Free, start: Point) -> Point {
     let Some(place) = free.place(Common::Past) else { return start };
     let at = |part: &f64| {
@@ -208,10 +209,11 @@ fn from_past(layout: &Layout<'_>, free: &Free, start: Point) -> Point {
     PAST.iter().map(at).min_by(|a, b| a.0.total_cmp(&b.0)).map_or(start.clone(), |best| best.1)
 }
 
-/// Settings beyond the levels of light that are open from which on a half tells their scatter (a named choice).
+/// Minimum number of settings in a half, beyond the open light levels, to tell their scatter (a named
+/// choice).
 const LEAST_REPEATED: usize = 3;
 
-/// Number of settings in a half beyond the levels of light that are open: what tells how much settings scatter.
+/// Counts the settings in a half beyond the open light levels; these tell the scatter of settings.
 fn repeated_settings(layout: &Layout<'_>, free: &Free, half: Half) -> usize {
     let sets = &layout.all.campaign.sets;
     let means = layout.rows.iter().filter(|o| o.is(&mean::Mean) && o.half == half);
@@ -225,25 +227,26 @@ fn repeated_settings(layout: &Layout<'_>, free: &Free, half: Half) -> usize {
     settings.len() - levels.len().min(settings.len()) + levels.iter().filter(is_known).count()
 }
 
-/// Standard errors of what is free, in its own units.
+/// Standard errors of the free values, in their own units.
 struct Errors<'a> {
     free: &'a Free,
     covariance: &'a Covariance,
 }
 
 impl Errors<'_> {
-    /// Covariance of two common values over their scales.
+    /// Returns the covariance of two common values over their scales.
     fn covariance(&self, i: usize, j: usize) -> f64 {
         self.covariance.common[i * self.free.common.len() + j]
     }
 
-    /// 0 for what is not free.
+    /// Returns the standard error of a common value; 0 if it is not free.
     fn of(&self, what: Common) -> f64 {
         let place = self.free.place(what).filter(|i| !self.free.fixed[*i]);
         place.map_or(0.0, |i| self.covariance(i, i).max(0.0).sqrt() * self.free.scale[i])
     }
 
-    /// What is fitted beside the gain is charge in DN; in e it has the gain's error too.
+    /// Returns the standard error of a charge in e. The fit holds charges in DN; in e they have the gain's
+    /// error too.
     fn in_e(&self, what: Common, value_e: f64) -> f64 {
         let (Some(gain), Some(i)) = (self.free.place(Common::Gain), self.free.place(what)) else {
             return 0.0;
@@ -252,7 +255,7 @@ impl Errors<'_> {
         (own * own - 2.0 * value_e * with + (value_e * self.of(Common::Gain)).powi(2)).max(0.0).sqrt()
     }
 
-    /// Indexes of A, read noise, offset, dark current and the spread of the read noise.
+    /// Returns the standard errors of A, read noise, offset, dark current and the spread of the read noise.
     fn of_base(&self, base: &BaseParameters) -> [f64; 5] {
         let no_dark = self.free.place(Common::Dark).is_some_and(|i| self.free.fixed[i]);
         [
@@ -265,17 +268,17 @@ impl Errors<'_> {
     }
 }
 
-/// Levels of light times exposure that are measured.
+/// Counts the measured levels of light times exposure.
 fn lit_levels(all: &Observations) -> usize {
     let lit = all.campaign.sets.iter().filter(|s| s.light.is_some() && s.exposure_s > 0.0);
     let mut levels: Vec<f64> = lit.map(|s| s.illumination * s.exposure_s).collect();
     levels.sort_by(f64::total_cmp);
-    // To within rounding of what is stated.
+    // Equal to within rounding of the stated values.
     levels.dedup_by(|a, b| (*a - *b).abs() < 1e-6 * b.abs());
     levels.len()
 }
 
-/// What the campaign shows before any fit.
+/// Summarises the campaign before any fit.
 pub fn seen(all: &Observations, base: &BaseParameters) -> Seen {
     let means = all.of(&mean::Mean).map(|o| o.measured.value);
     let share = all.of(&codes_used::CodesUsed).map(|o| o.measured.value).reduce(f64::max);

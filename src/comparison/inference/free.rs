@@ -1,4 +1,4 @@
-//! What is free in a fit, as one list of values over their scales, and the light factors beside it.
+//! Free values of a fit: one list of common values over their scales, and the light factors.
 
 use super::model::Effects;
 use super::start::{MOST_SPREAD, has_flats, of_darks, reference_level, zero_bounds};
@@ -7,27 +7,29 @@ use crate::observables::{Half, Observations, Setting, mean, unequal};
 use radcam_sim::effects::{Effect, Parameter};
 use radcam_sim::predict::BaseParameters;
 
-/// No lamp is known better than this, relative.
+/// Minimum relative error of a lamp's light.
 const LIGHT_FLOOR: f64 = 5e-5;
 
-/// Errors of positive parameters beyond so many times themselves are cut: from two and a half times itself on a value is nothing at all, and
-/// one that is known to a fifth of itself has its error changed by less than a two-hundredth.
+/// Maximum error of a positive parameter, in multiples of its value. A value with an error of two and a half
+/// times itself counts for nothing, and the error of a value known to a fifth of itself changes by less than
+/// 1/200.
 const FACTOR: f64 = 2.0;
 
-/// Least read noise, DN (a named choice: beside the 0.29 DN of rounding it is none). A variance does not
+/// Minimum read noise, DN (a named choice: negligible beside the 0.29 DN of rounding). A variance does not
 /// change with its root at 0, and a fit that came there would never leave.
 const LEAST_READ_DN: f64 = 0.01;
 
 /// A value that is common to all sets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Common {
-    /// Logarithm of A over its start, what light, dark current and read noise are in DN held: all but variances stay where they are.
+    /// Logarithm of A over its start. Light, dark current and read noise are held in DN, so that only
+    /// variances change.
     Gain,
     /// Read noise, e.
     Read,
     /// Spread of the pixels' read-noise variances, relative.
     ReadSpread,
-    /// Relative scatter of the light's setting, within what is stated of it.
+    /// Relative scatter of the light's setting, within its stated limit.
     SettingRel,
     /// Black level at zero exposure, DN.
     Offset,
@@ -37,18 +39,18 @@ pub enum Common {
     Light,
     /// Signal of the frames before the first, e.
     Past,
-    /// The monitor's reading for one electron, logarithm.
+    /// Logarithm of the monitor's reading for one electron.
     MonitorPer,
     /// Relative scatter of the monitor.
     MonitorRel,
-    /// A parameter of an effect: which effect, which parameter.
+    /// A parameter of an effect: index of the effect, index of the parameter.
     Of(usize, usize),
 }
 
-/// What a common value is, whatever the model that it stands in.
+/// Identity of a common value, whatever the model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Key {
-    /// One of the paper's, or of the campaign.
+    /// A value of the paper, or of the campaign.
     Base(Common),
     /// A parameter of an effect with these choices.
     Of(&'static str, usize, Vec<u64>),
@@ -59,33 +61,33 @@ pub enum Key {
 pub struct Light {
     /// The level.
     pub level: usize,
-    /// Relative error of its nominal light, where that is known.
+    /// Relative error of its nominal light, if known.
     pub known: Option<f64>,
 }
 
-/// Everything that is free.
+/// Free values of a model.
 #[derive(Clone)]
 pub struct Free {
     /// Effects.
     pub effects: Vec<&'static dyn Effect>,
     /// Common values, in the order of [`Point::x`].
     pub common: Vec<Common>,
-    /// The scale of each.
+    /// Scale of each.
     pub scale: Vec<f64>,
-    /// What the campaign says nothing of.
+    /// True for values that are held in the fit.
     pub fixed: Vec<bool>,
-    /// Smallest and largest value of each, over its scale.
+    /// Minimum and maximum of each, over its scale.
     pub bounds: Vec<(f64, f64)>,
     /// Light levels with a factor of their own.
     pub lights: Vec<Light>,
-    /// For every level the place of its factor.
+    /// Index of the factor of every level.
     pub light_of_level: Vec<Option<usize>>,
     template: BaseParameters,
     values: Vec<Vec<f64>>,
     full_scale_dn: f64,
 }
 
-/// A place in the space of what is free.
+/// A point in the space of the free values.
 #[derive(Debug, Clone)]
 pub struct Point {
     /// Common values over their scales.
@@ -95,7 +97,7 @@ pub struct Point {
 }
 
 impl Point {
-    /// The way from another place to this one.
+    /// Returns the step from another point to this one.
     pub fn from(&self, other: &Self) -> Self {
         let between = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect();
         Self { x: between(&self.x, &other.x), lights: between(&self.lights, &other.lights) }
@@ -106,7 +108,7 @@ impl Point {
 struct Entry {
     what: Common,
     value: f64,
-    /// 0: its own size.
+    /// Scale; 0: the size of the value itself.
     scale: f64,
     fixed: bool,
     bounds: (f64, f64),
@@ -114,18 +116,18 @@ struct Entry {
 
 const ANY: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 
-/// Part of the largest scatter of settings at which a fit of it begins (a named choice).
+/// Start of the scatter of settings in a fit, as a part of its maximum (a named choice).
 pub(super) const FIRST_SETTING: f64 = 0.01;
 
-/// The paper's parameters, what came before the first frame, and the light monitor. `in_effect`: the scatter
-/// of settings is that of an effect.
+/// Lists the paper's parameters, the charge before the first frame, and the light monitor. `in_effect`: the
+/// scatter of settings belongs to an effect.
 fn of_base(all: &Observations, base: &BaseParameters, in_effect: bool) -> Vec<Entry> {
     let entry = |what, value, scale, fixed, bounds| Entry { what, value, scale, fixed, bounds };
-    // Of a table the level without light was taken off.
+    // The level without light is already subtracted in a table.
     let table = all.is_table;
     let no_gain = !has_flats(all) && of_darks(all, base.offset_dn).is_none();
-    // Darks of two exposures may fall for reasons of their own, which is said; what flats say of a single
-    // dark is no reason for a charge below 0.
+    // The level of darks at two exposures may fall for other reasons, which is reported. With a single dark
+    // only the flats tell the charge, which is no reason for one below 0.
     let dark = if all.darks_tell_dark_current() { ANY } else { (0.0, f64::INFINITY) };
     let mut list = vec![
         entry(Common::Gain, 0.0, 1.0, no_gain, (-14.0, 14.0)),
@@ -148,7 +150,7 @@ fn of_base(all: &Observations, base: &BaseParameters, in_effect: bool) -> Vec<En
         entry(Common::Light, 0.0, 1.0, false, ANY),
     ];
     if let Some(rel) = base.setting_rel {
-        // An effect that is the scatter of the settings takes the place of one that is not stated.
+        // An effect for the scatter of settings replaces a scatter that is not stated.
         let (fixed, rel, most) = match all.setting {
             Some(Setting::Below(most)) if in_effect => (true, 0.0, most),
             Some(Setting::Below(most)) => (false, rel.max(FIRST_SETTING * most), most),
@@ -169,7 +171,7 @@ fn of_base(all: &Observations, base: &BaseParameters, in_effect: bool) -> Vec<En
     list
 }
 
-/// The parameters of an effect, which stands at this place among all.
+/// Lists the parameters of an effect, which has this place among all.
 fn of_effect(place: usize, effect: &dyn Effect, values: &[f64]) -> Vec<Entry> {
     let entry = |(k, (p, v)): (usize, (&Parameter, &f64))| {
         let start = p.starts.iter().copied().find(|s| *s != 0.0).unwrap_or(v.abs().max(1e-3));
@@ -189,7 +191,7 @@ fn of_effect(place: usize, effect: &dyn Effect, values: &[f64]) -> Vec<Entry> {
     effect.parameters().iter().zip(values).enumerate().map(entry).collect()
 }
 
-/// Light levels that have a mean, all but the one that the others are counted from.
+/// Lists the light levels that have a mean, except the reference level.
 fn lights_of(all: &Observations, levels: usize, reference: usize) -> Vec<Light> {
     let mut used = vec![false; levels];
     let with_mean = all.of(&mean::Mean).filter_map(|o| all.campaign.sets[o.set?].light);
@@ -207,7 +209,8 @@ fn lights_of(all: &Observations, levels: usize, reference: usize) -> Vec<Light> 
     (0..levels).filter(|l| used[*l] && *l != reference).map(light).collect()
 }
 
-/// A factor counts from the nominal light where that is known, to which the level is moved; else from where the level stands.
+/// Returns the log light factors. A level with known nominal light moves to it, and its factor is relative to
+/// it; any other factor is relative to the level itself.
 fn factors_of(all: &Observations, lights: &[Light], reference: usize, flux_e_per_s: &mut [f64]) -> Vec<f64> {
     let nominal = |level: usize| {
         all.campaign.sets.iter().find(|s| s.light == Some(level)).map_or(1.0, |s| s.illumination)
@@ -226,7 +229,7 @@ fn factors_of(all: &Observations, lights: &[Light], reference: usize, flux_e_per
 }
 
 impl Free {
-    /// For a model, and the place where it stands.
+    /// Returns the free values of a model, and its point.
     pub fn new(all: &Observations, base: &BaseParameters, effects: &Effects) -> (Self, Point) {
         let has_memory = effects.iter().any(|(e, _)| e.has_memory()) && !all.is_table;
         let mut template = base.clone();
@@ -261,7 +264,7 @@ impl Free {
         (free, point)
     }
 
-    /// The model at a place.
+    /// Returns the model at a point.
     pub fn unpack(&self, at: &Point) -> (BaseParameters, Effects) {
         let mut base = self.template.clone();
         let mut values = self.values.clone();
@@ -302,8 +305,8 @@ impl Free {
         (base, self.effects.iter().copied().zip(values).collect())
     }
 
-    /// Redundant directions of the effects: index of the effect's first parameter, and the direction in the
-    /// parameters' units.
+    /// Returns the redundant directions of the effects: index of the effect's first parameter, and the
+    /// direction in the parameters' units.
     pub fn redundant(&self, at: &Point) -> Vec<(usize, Vec<f64>)> {
         let of = |(place, effect): (usize, &&'static dyn Effect)| {
             let first = self.place(Common::Of(place, 0))?;
@@ -329,7 +332,8 @@ impl Free {
         at.lights.iter_mut().for_each(|l| *l = l.clamp(-30.0, 30.0));
     }
 
-    /// Factor on the scatter of all settings from one place to another; `None` where anything else differs.
+    /// Returns the factor on the scatter of all settings from one point to another; `None` if anything else
+    /// differs.
     pub fn scales_settings(&self, from: &Point, to: &Point) -> Option<f64> {
         let is_scatter = |what: Common| match what {
             Common::SettingRel => true,
@@ -345,7 +349,7 @@ impl Free {
         (all().all(agrees) && from.lights == to.lights).then_some(factor)
     }
 
-    /// What a value is.
+    /// Returns the identity of a value.
     pub fn key(&self, i: usize) -> Key {
         let Common::Of(effect, parameter) = self.common[i] else { return Key::Base(self.common[i]) };
         let (e, values) = (self.effects[effect], &self.values[effect]);
@@ -353,16 +357,16 @@ impl Free {
         Key::Of(e.id(), parameter, choices.map(|(_, v)| v.to_bits()).collect())
     }
 
-    /// Weight of what is known of a common value by its size alone: an effect's parameter that cannot be below 0 is known to [`FACTOR`]
-    /// times itself. Slopes at one place say nothing of what lies further off, and factors of which the campaign tells the product only
-    /// would else seem to allow anything.
+    /// Returns the prior weight of a common value: an effect's parameter that cannot be below 0 is known to
+    /// [`FACTOR`] times itself. Slopes at one point say nothing of values further off, and without the prior,
+    /// factors whose product alone is determined would seem unbounded.
     pub fn own_weight(&self, i: usize, point: &Point) -> f64 {
         let Common::Of(effect, k) = self.common[i] else { return 0.0 };
         let p = self.effects[effect].parameters()[k];
         if p.min >= 0.0 && point.x[i] > 0.0 { (FACTOR * point.x[i]).powi(-2) } else { 0.0 }
     }
 
-    /// Place of a common value.
+    /// Returns the index of a common value.
     pub fn place(&self, what: Common) -> Option<usize> {
         self.common.iter().position(|c| *c == what)
     }

@@ -1,4 +1,5 @@
-//! Levenberg and Marquardt's iteration (Madsen, Nielsen and Tingleff 2004, sections 3.2 and 3.5), with slopes that serve as long as they can.
+//! Levenberg-Marquardt iteration (Madsen, Nielsen and Tingleff 2004, sections 3.2 and 3.5) that reuses its
+//! Jacobian as long as it serves.
 
 use super::free::{Free, Point};
 use super::layout::{Layout, State};
@@ -6,40 +7,41 @@ use super::normal::Normal;
 use super::slopes::Slopes;
 use super::system::System;
 
-/// A round that gains less of the objective has arrived, where residuals are of the size of their errors; where they are larger, in
-/// proportion to their mean square.
+/// Convergence threshold: minimum gain of the objective per round, per mean squared residual (1 at least).
 const ARRIVED: f64 = 1e-3;
-/// The same, in proportion to the mean square, of models beyond this one that are only compared with others (named choices).
+/// Convergence threshold, per mean squared residual beyond `FAR_SQUARE`, of models that are only compared
+/// with others (named choices).
 const ARRIVED_FAR: f64 = 0.03;
-/// A mean square of the residuals beyond which a model is far off.
+/// Mean squared residual beyond which a model is far off.
 pub(super) const FAR_SQUARE: f64 = 4.0;
-/// A step that gains less than this share of what it promised was promised too much.
+/// Minimum ratio of actual to predicted gain of a step; below it the slopes do not hold.
 const HOLDS: f64 = 0.8;
-/// Slopes are taken again after more than so many such steps, one after the other.
+/// Maximum number of successive steps below that ratio before the slopes are computed again.
 const MENDED: usize = 2;
-/// Slopes serve in so many rounds at most, on average.
+/// Maximum rounds per computation of the slopes, on average.
 const SERVED: usize = 3;
-/// A step turns back where it takes this share of the last one's length back at least, within this cosine of its direction (a named choice: of
-/// the four fits of the EMVA 1288 group's camera that went to and fro without end three end).
+/// A step turns back if it is at least this share of the last step's length, and opposite to it within this
+/// cosine (a named choice: it ends three of the four fits of the EMVA 1288 group's camera that oscillated
+/// without end).
 const BACK: f64 = 0.5;
-/// Values that are a scatter have settled once a round changes them by less than this share.
+/// Maximum relative change per round of a fitted scatter that has settled.
 const SETTLED: f64 = 1e-3;
 
-/// How far an iteration goes.
+/// Iteration budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Effort {
-    /// A look at what a start is worth: of what is known elsewhere slopes are not taken again.
+    /// Brief fit to rank a start: slopes known from another fit are not computed again.
     Look,
     /// Few rounds: enough to tell how far off a model is.
     Short,
-    /// To the end; a model that is far off, as exactly as it is to be compared with others.
+    /// To convergence; a model that is far off, only as exactly as a comparison with others needs.
     Rival,
-    /// To the end.
+    /// To convergence.
     Full,
 }
 
 impl Effort {
-    /// Slopes are taken so often at most.
+    /// Returns the maximum number of computations of the slopes.
     fn rounds(self) -> usize {
         match self {
             Self::Look | Self::Short => 5,
@@ -48,7 +50,7 @@ impl Effort {
         }
     }
 
-    /// What a round gains less than has arrived, at a mean square of the residuals.
+    /// Returns the convergence threshold at a mean squared residual.
     fn arrived(self, mean_square: f64) -> f64 {
         if matches!(self, Self::Look | Self::Rival) && mean_square > FAR_SQUARE {
             return ARRIVED_FAR * mean_square;
@@ -57,7 +59,7 @@ impl Effort {
     }
 }
 
-/// Where an iteration stands.
+/// State of an iteration.
 pub(super) struct Iteration<'a> {
     layout: &'a Layout<'a>,
     free: &'a Free,
@@ -66,24 +68,24 @@ pub(super) struct Iteration<'a> {
     pub slopes: Slopes,
     pub system: System<'a>,
     damping: f64,
-    /// Whether the slopes were taken at this place.
+    /// True if the slopes were computed at this point.
     fresh: bool,
-    /// Steps that gained less than they promised, since one did not.
+    /// Number of successive steps that gained less than predicted.
     missed: usize,
     /// The last step.
     last: Option<Point>,
 }
 
-/// What a step did.
+/// Outcome of a step.
 #[derive(Default)]
 struct Step {
     gained: f64,
-    /// Whether that is what the slopes promised.
+    /// True if the gain is as large as the slopes predicted.
     holds: bool,
 }
 
 impl<'a> Iteration<'a> {
-    /// At a start; `known`: slopes of another fit near it.
+    /// Starts at a point; `known`: slopes of another fit near it.
     pub fn new(layout: &'a Layout<'a>, free: &'a Free, mut point: Point, known: Option<&Slopes>) -> Self {
         free.clamp(&mut point);
         let now = layout.at(free, &point);
@@ -93,7 +95,7 @@ impl<'a> Iteration<'a> {
         Self { layout, free, point, now, slopes, system, damping: 1e-3, fresh, missed: 0, last: None }
     }
 
-    /// Goes down until nothing is gained.
+    /// Iterates until nothing is gained, within the budget.
     pub fn run(&mut self, effort: Effort, known: Option<&Slopes>) {
         let (mut taken, rows) = (0, self.layout.rows.len() as f64);
         for _ in 0..SERVED * effort.rounds() {
@@ -101,7 +103,7 @@ impl<'a> Iteration<'a> {
             let step = self.step(before);
             let settled = self.settle();
             let arrived = settled && step.gained < effort.arrived(before / rows);
-            // Slopes of another fit that hold to the last are as good as those of this place.
+            // Slopes of another fit that predict the last step are as good as those of this point.
             let sure = self.fresh || known.is_some() && step.holds && step.gained < ARRIVED;
             if arrived && sure {
                 break;
@@ -122,11 +124,11 @@ impl<'a> Iteration<'a> {
         }
     }
 
-    /// One step down, damped as much as it takes.
+    /// Takes one step down, with as much damping as it needs.
     fn step(&mut self, before: f64) -> Step {
         let mut normal = self.system.normal();
-        // What lies at an end of its range and would leave it stays there: else a step that is cut off there
-        // gains nothing for the others.
+        // A value at an end of its range that would leave it is held: a step that is cut off there gains
+        // nothing for the others.
         for (i, (x, (min, max))) in self.point.x.iter().zip(&self.free.bounds).enumerate() {
             let gradient = normal.gradient[i];
             normal.held[i] |= x <= min && gradient < 0.0 || x >= max && gradient > 0.0;
@@ -150,7 +152,7 @@ impl<'a> Iteration<'a> {
                 let moved = trial.from(&self.point);
                 let holds = gained >= HOLDS * self.system.promised(&moved.x, &lights);
                 self.missed = if holds { 0 } else { self.missed + 1 };
-                // Of the smallest steps what they missed is rounding.
+                // The shortfall of the smallest steps is rounding.
                 if !holds && gained > ARRIVED {
                     self.system.follow(&mut self.slopes, self.free, &moved, &self.now, &there, &normal);
                     self.fresh = false;
@@ -164,7 +166,7 @@ impl<'a> Iteration<'a> {
         Step::default()
     }
 
-    /// Brings values that are a scatter to what the residuals show; whether they were there.
+    /// Scales fitted scatters to match the residuals. Returns true if they already did.
     fn settle(&mut self) -> bool {
         let factors = self.system.scatter_factors();
         if factors.iter().all(|(_, f)| (f - 1.0).abs() < SETTLED) {
@@ -173,7 +175,7 @@ impl<'a> Iteration<'a> {
         let from = self.point.clone();
         factors.iter().for_each(|(i, f)| self.point.x[*i] *= f);
         self.free.clamp(&mut self.point);
-        // At an end of its range a scatter stays where it is.
+        // A scatter at an end of its range stays there.
         let moves =
             |(i, _): &(usize, f64)| (self.point.x[*i] - from.x[*i]).abs() >= SETTLED * from.x[*i].abs();
         if !factors.iter().any(moves) {
@@ -181,15 +183,15 @@ impl<'a> Iteration<'a> {
             return true;
         }
         self.now = self.layout.at_from(self.free, &self.point, &self.now, &from, None);
-        // The slope of a variance grows with the scatter: without it the errors of the scatter would be
-        // those of the start.
+        // The slope of a variance grows with the scatter. Without new slopes the errors of the scatter would
+        // be those at the start.
         for (i, _) in &factors {
             self.slopes.take_again(*i, self.layout, self.free, &self.point, &self.now);
         }
         false
     }
 
-    /// Takes slopes at this place; those of `kept` stay.
+    /// Computes the slopes at this point; those of `kept` stay.
     fn take_slopes(&mut self, kept: Option<&Slopes>) {
         self.slopes = Slopes::beside(kept, self.layout, self.free, &self.point, &self.now);
         (self.fresh, self.missed) = (true, 0);
@@ -201,8 +203,8 @@ impl<'a> Iteration<'a> {
     }
 }
 
-/// Whether a step takes most of the last one back, in units of what the campaign tells of each value: errors follow what is fitted, and two
-/// places may send a fit to and fro for ever.
+/// Returns true if a step takes back most of the last one, in the metric of the normal matrix's diagonal.
+/// Errors follow the fitted values, so a fit may oscillate between two points forever.
 fn turns_back(normal: &Normal, step: &[f64], last: &[f64]) -> bool {
     let product = |a: &[f64], b: &[f64]| -> f64 {
         a.iter().zip(b).enumerate().map(|(i, (a, b))| normal.matrix[i * normal.n + i] * a * b).sum()

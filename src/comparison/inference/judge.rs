@@ -1,7 +1,7 @@
 //! Compares a model with a campaign: fitted on one half of the frames, judged on the other.
 //!
-//! Halves take turns from set to set: the first frames after a change of level belong now to the one, now to the other. Whole
-//! frames go to one half, so that noise that runs from frame to frame within a chunk stays on one side.
+//! Halves alternate from set to set: each has the first frames after some changes of level. Whole frames go
+//! to one half, so that noise that runs from frame to frame within a chunk stays on one side.
 
 use super::fit::{Fitted, fit_half, halves};
 use super::free::Common;
@@ -21,54 +21,55 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// One residual on frames that the fit did not see.
+/// One residual on held-out frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Residual {
-    /// Which statistic.
+    /// Name of the observable.
     pub observable: String,
     /// Number of the set; null for the whole campaign.
     pub set: Option<u32>,
-    /// What was measured.
+    /// Measured value.
     pub measured: f64,
-    /// What the model expects.
+    /// Expected value.
     pub predicted: f64,
     /// Standard error of the difference.
     pub std_err: f64,
-    /// Their difference over its standard error.
+    /// Difference over its standard error.
     pub z: f64,
-    /// The same once what the statistics of the same frames have in common is taken for one number.
+    /// Whitened `z`: the common part of the statistics of the same frames counts once.
     pub independent_z: f64,
     /// Mean of the set above the black level, DN.
     pub level_dn: f64,
-    /// The statistic: those of one kind share it.
+    /// Identifier of the statistic, shared by observables of one kind.
     pub statistic: Cow<'static, str>,
-    /// What a deviation means, in words.
+    /// Meaning of a deviation, in words.
     pub meaning: Cow<'static, str>,
-    /// Unit of what was measured; none for ratios.
+    /// Unit of the measured value; none for ratios.
     pub unit: Cow<'static, str>,
 }
 
 impl Residual {
-    /// Whether it is set by what came before, and not by its level.
+    /// Returns true if the residual depends on the frames before, not on the level of its set.
     pub fn is_of_first_frames(&self) -> bool {
         self.statistic == settling::Settling.id()
     }
 }
 
-/// A comparison.
+/// Comparison of a model with a campaign.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Comparison {
     /// Root mean square of the standardised residuals; 1 is agreement.
     pub error: f64,
-    /// Chance of residuals as large as these, under many comparisons.
+    /// Chance of residuals as large as these, corrected for multiple comparisons.
     pub p_value: f64,
-    /// Whether the model describes the campaign.
+    /// True if the model describes the campaign.
     pub consistent: bool,
-    /// The same, with doubt.
+    /// Agreement grade, with a grade for doubt.
     pub agreement: Agreement,
-    /// Name of what has the smallest chance, in which `p_value` is that of several tests; none without residuals.
+    /// Name of the test with the smallest chance; `p_value` corrects for several tests. None without
+    /// residuals, or if the test of all residuals together has the smallest chance.
     #[serde(default)]
     pub largest: Option<String>,
     /// Every residual.
@@ -76,7 +77,7 @@ pub struct Comparison {
     /// Faults of the data.
     #[serde(default)]
     pub data_faults: Vec<DataFault>,
-    /// What could not be looked at.
+    /// Items that could not be tested.
     pub not_looked_at: Vec<String>,
 }
 
@@ -100,7 +101,7 @@ fn compared(all: &Observations, model: &Fitted) -> Comparison {
     let of_noise =
         photon_transfer::tests(all, model, &levels).into_iter().map(|t| of_all_sets(t, &variance::Variance));
     let orders: Vec<Residual> = tests.chain(of_noise).collect();
-    // Of so few numbers the smallest chance times theirs and that of all others.
+    // Smallest chance of these few tests, times their number plus one for all other residuals.
     let by_order = orders.iter().map(|r| two_sided(r.z)).fold(1.0, f64::min) * (orders.len() + 1) as f64;
     let (p_value, largest) = match p_value(&residuals) {
         (chance, _) if by_order < chance => (
@@ -122,7 +123,7 @@ fn compared(all: &Observations, model: &Fitted) -> Comparison {
     }
 }
 
-/// A test of all sets together as a residual of a statistic.
+/// Converts a test of all sets together to a residual of a statistic.
 fn of_all_sets(test: settings::Test, statistic: &dyn Statistic) -> Residual {
     Residual {
         observable: test.name,
@@ -139,7 +140,7 @@ fn of_all_sets(test: settings::Test, statistic: &dyn Statistic) -> Residual {
     }
 }
 
-/// Mean of every set above a zero, DN.
+/// Computes the mean of every set above a zero, DN.
 fn levels(all: &Observations, zero_dn: f64) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); all.campaign.sets.len()];
     for o in all.of(&mean::Mean) {
@@ -150,7 +151,7 @@ fn levels(all: &Observations, zero_dn: f64) -> Vec<f64> {
     sums.iter().map(|(sum, n)| if *n > 0.0 { sum / n - zero_dn } else { 0.0 }).collect()
 }
 
-/// The residuals of the other half under a fit to this one; the error of the fit is in theirs.
+/// Computes the residuals of the other half under a fit to this one; their errors include that of the fit.
 fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
     let unseen = Unseen::new(all, fitted, half);
     let levels = levels(all, fitted.base.offset_dn);
@@ -171,37 +172,38 @@ fn judged(all: &Observations, fitted: &Fitted, half: Half) -> Vec<Residual> {
     out
 }
 
-/// A row of the half that was not fitted.
+/// Judged row of the held-out half.
 struct Own {
     /// Standardised residual.
     z: f64,
-    /// By how much its error is wider than that of the expectation.
+    /// Ratio of its error to that of the expectation.
     wider: f64,
-    /// What the light's setting, which the other half tells, moves the expectation by, in its unit.
+    /// Shift of the expectation by the light's setting, which the other half tells, in its unit.
     shift: f64,
 }
 
-/// A fit to one half, and what it expects of the other.
+/// A fit to one half, and its expectations of the other.
 struct Unseen<'a> {
     all: &'a Observations,
     fitted: &'a Fitted,
     layout: Layout<'a>,
     state: State,
-    /// How errors of what was fitted show in frames that the fit did not see, over the errors of these.
+    /// Slopes of the held-out rows with the fitted values, over the errors of these rows.
     slopes: Vec<f64>,
-    /// Place of the light of all levels among the common values.
+    /// Index of the light of all levels among the common values.
     light: usize,
-    /// Light levels that the fit saw.
+    /// True for light levels in the fitted half.
     lights: Vec<bool>,
     /// Row of the mean of each set.
     means: Vec<Option<usize>>,
-    /// Of light settings that the fit used: their error and its uncertainty, in units of the light.
+    /// Settings of the light in the fitted half: deviation and its remaining variance, in units of the light
+    /// and of its square.
     told: BTreeMap<usize, (f64, f64)>,
     /// Variance of a light setting that the fit did not use, in units of the light squared; by set.
     scatter: Vec<f64>,
-    /// Sets whose level the fit leaves open.
+    /// True for sets whose level the fit leaves open.
     open: Vec<bool>,
-    /// Sets whose noise the fit leaves open.
+    /// True for sets whose noise the fit leaves open.
     open_noise: Vec<bool>,
 }
 
@@ -218,11 +220,12 @@ impl<'a> Unseen<'a> {
     fn new(all: &'a Observations, fitted: &'a Fitted, half: Half) -> Self {
         let layout = Layout::to_judge(all, half.other(), fitted.free.effects.iter());
         let state = layout.at(&fitted.free, &fitted.point);
-        // Slopes that only served the fit would not do, but where it is so far off that errors of what was fitted hardly count.
+        // Slopes that only served the fit are not exact enough, unless the fit is so far off that the errors
+        // of its values hardly count.
         let served = Some(&*fitted.slopes).filter(|_| fitted.mean_square > FAR_SQUARE);
         let slopes = Slopes::beside(served, &layout, &fitted.free, &fitted.point, &state).over_errors(&state);
         let (light, n) = (fitted.free.place(Common::Light).unwrap_or(0), fitted.free.common.len());
-        // A setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
+        // Setting scatter: a variance of the mean in DN^2, over the squared slope of the mean with the light.
         let settings: Vec<f64> = fitted.predict(all).sets.iter().map(|s| s.setting).collect();
         let mut scatter = vec![0.0; settings.len()];
         for (r, (o, e)) in layout.rows.iter().zip(&state.expected).enumerate() {
@@ -255,13 +258,14 @@ impl<'a> Unseen<'a> {
         out
     }
 
-    /// Finds the sets whose level or noise the fit leaves open: a long dark, say, that only the other half has.
+    /// Finds the sets whose level or noise the fit leaves open, for example a long dark that only the other
+    /// half has.
     fn find_open(&mut self) {
         let step = self.fitted.predict(self.all).code_step_dn;
         for (r, (o, e)) in self.layout.rows.iter().zip(&self.state.expected).enumerate() {
             let Some(set) = o.set.filter(|_| o.is(&mean::Mean)) else { continue };
             let signal_dn = (e.value - self.fitted.base.offset_dn).abs();
-            // What the fit leaves open, beside what the frames scatter by.
+            // Error of the fit, without the scatter of the frames.
             let of_fit = |own: Own| (own.wider * own.wider - 1.0).max(0.0).sqrt();
             let error_dn = self.judged(r, o, e).map_or(0.0, of_fit) * e.std_err;
             self.open[set] |= error_dn > OPEN.0 * step && error_dn > OPEN.1 * signal_dn;
@@ -277,8 +281,8 @@ impl<'a> Unseen<'a> {
         open.into_iter().for_each(|set| self.open_noise[set] = true);
     }
 
-    /// Standardised residual of a row; `None` for means that alone tell the light of their level, and for sets
-    /// whose level, or noise, is open.
+    /// Computes the standardised residual of a row; `None` for means that alone tell the light of their
+    /// level, and for sets whose level or noise is open.
     fn judged(&self, r: usize, o: &Observable, e: &Expected) -> Option<Own> {
         if o.set.is_some_and(|s| self.open_noise[s]) && !o.is(&mean::Mean) {
             return None;
@@ -290,7 +294,7 @@ impl<'a> Unseen<'a> {
             let is_mean = o.is(&mean::Mean);
             let means = if is_mean { self.means_before(r, set) } else { vec![(self.means[set]?, 0.0)] };
             if !means.is_empty() {
-                // Under the setting of another set nothing of its own scatters.
+                // Under the setting of another set, a set adds no scatter of its own.
                 let own = if is_mean && means.iter().all(|m| m.1 > 0.0) { self.scatter[set] } else { 0.0 };
                 return self.judged_beside(r, e, &means, own);
             }
@@ -306,7 +310,7 @@ impl<'a> Unseen<'a> {
         let mut variance = 1.0 + self.fitted.covariance.of(row, factor.map(|k| (k, by_light))).max(0.0);
         let (mut z, mut by_setting) = (e.z(), 0.0);
         if let Some(set) = o.set.filter(|s| sees_light && self.scatter[*s] > 0.0) {
-            // A setting is told by the frames of the set that the fit saw, and else it is as nominal.
+            // The fitted frames of the set tell its setting; without them it is nominal.
             let (shift, left) =
                 self.told.get(&self.layout.setting_of(set)).copied().unwrap_or((0.0, self.scatter[set]));
             z -= by_light * shift;
@@ -316,8 +320,8 @@ impl<'a> Unseen<'a> {
         Some(Own::new(z, variance, by_setting, e))
     }
 
-    /// Means of other sets of a light level before the mean of one, each with the variance of its setting in
-    /// units of the light squared; 0 under the same setting.
+    /// Lists the earlier means of the same light level, each with the variance of its setting in units of the
+    /// light squared; 0 under the same setting.
     fn means_before(&self, r: usize, set: usize) -> Vec<(usize, f64)> {
         let sets = &self.all.campaign.sets;
         let of = |other: usize| {
@@ -328,8 +332,8 @@ impl<'a> Unseen<'a> {
         (0..sets.len()).filter_map(of).collect()
     }
 
-    /// Standardised residual of a row at a light level that the fit did not see: means of the half tell its
-    /// light. Of the means of a level each is judged beside those before it, so that the residuals are
+    /// Computes the standardised residual of a row at a light level that the fit did not see: means of the
+    /// half tell its light. Each mean of a level is judged beside those before it, so that the residuals are
     /// independent (recursive residuals: Brown, Durbin and Evans 1975, J. R. Statist. Soc. B 37, 149, eq. 2).
     /// `own`: variance of the setting of its own set.
     fn judged_beside(&self, r: usize, e: &Expected, means: &[(usize, f64)], own: f64) -> Option<Own> {
@@ -357,7 +361,7 @@ impl<'a> Unseen<'a> {
 }
 
 impl Own {
-    /// For a residual over the error of its expectation, and its variance.
+    /// Computes the row from a residual over the error of its expectation, and its variance.
     fn new(z: f64, variance: f64, shift: f64, e: &Expected) -> Self {
         let own = z / variance.sqrt();
         let z = if e.heavy { lightened(own) } else { own };
@@ -365,7 +369,7 @@ impl Own {
     }
 }
 
-/// What the frames that a fit saw tell of the settings of their sets.
+/// Estimates the settings of sets from the frames of the fitted half.
 fn settings_told(all: &Observations, fitted: &Fitted, half: Half) -> BTreeMap<usize, (f64, f64)> {
     let own = Layout::new(all, &halves(Some(half)), fitted.free.effects.iter());
     let state = own.at(&fitted.free, &fitted.point);
@@ -397,7 +401,7 @@ fn residual(
     }
 }
 
-/// The residuals of everything under a fit to everything.
+/// Computes the residuals of all observables under a fit to all.
 pub(crate) fn residuals_of(all: &Observations, fitted: &Fitted) -> Vec<Residual> {
     let layout = Layout::new(all, &halves(None), fitted.free.effects.iter());
     let state = layout.at(&fitted.free, &fitted.point);
@@ -410,7 +414,7 @@ pub(crate) fn residuals_of(all: &Observations, fitted: &Fitted) -> Vec<Residual>
         .collect()
 }
 
-/// Whether each light level has a mean in a half.
+/// Returns true for each light level that has a mean in a half.
 fn lights_seen(all: &Observations, half: Half) -> Vec<bool> {
     let levels = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
     let mut seen = vec![false; levels];
@@ -422,14 +426,14 @@ fn lights_seen(all: &Observations, half: Half) -> Vec<bool> {
     seen
 }
 
-/// What the residuals of one statistic say together.
+/// Joint evidence of the residuals of one statistic.
 #[derive(Debug, Clone)]
 pub struct OfStatistic {
     /// Name of the statistic.
     pub name: String,
     /// Chance of a sum of squares, or of a sum, as large as theirs.
     pub chance: f64,
-    /// By how much the larger of the sum of squares and the square of the sum over n passes what chance expects.
+    /// Excess over chance of the sum of squares, or of the squared sum over n, whichever is larger.
     pub excess: f64,
 }
 
@@ -439,12 +443,12 @@ pub(super) const SLACK_OF_SQUARES: f64 = 1.25;
 /// See [`SLACK_OF_SQUARES`].
 pub(super) const SLACK_OF_MEAN: f64 = 1.2;
 
-/// The residuals by statistic.
+/// Groups the residuals by statistic.
 pub fn by_statistic(residuals: &[Residual]) -> Vec<OfStatistic> {
     by(residuals, |r| r.observable.as_str())
 }
 
-/// The residuals by whatever `name` calls them.
+/// Groups the residuals by the name that `name` gives them.
 pub(crate) fn by<'r>(residuals: &'r [Residual], name: impl Fn(&'r Residual) -> &'r str) -> Vec<OfStatistic> {
     let mut of: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     residuals.iter().for_each(|r| of.entry(name(r)).or_default().push(r.independent_z));
@@ -453,7 +457,7 @@ pub(crate) fn by<'r>(residuals: &'r [Residual], name: impl Fn(&'r Residual) -> &
         let squares: f64 = z.iter().map(|z| z * z).sum();
         let sum: f64 = z.iter().sum();
         let chi2 = ChiSquared::new(n).map_or(1.0, |c| c.sf(squares / SLACK_OF_SQUARES));
-        // What deviates a little to one side in every set.
+        // Small deviations to one side in every set.
         let aside = two_sided(sum / n.sqrt() / SLACK_OF_MEAN);
         OfStatistic {
             name: name.to_string(),
@@ -464,13 +468,14 @@ pub(crate) fn by<'r>(residuals: &'r [Residual], name: impl Fn(&'r Residual) -> &
     of.into_iter().map(together).collect()
 }
 
-/// Chance that a normal number lies at least so far off.
+/// Computes the two-sided chance of a normal number at least so far off.
 fn two_sided(z: f64) -> f64 {
     statrs::function::erf::erfc(z.abs() / std::f64::consts::SQRT_2)
 }
 
-/// Chance of residuals as large as these: of their sum of squares, of the largest one, and of those of any one statistic, the smallest of
-/// them times their number; and the name of what has the smallest chance, of all together none.
+/// Computes the chance of residuals as large as these: the smallest of the chances of their sum of squares,
+/// of the largest one, and of those of any one statistic, times the number of these tests. Also returns the
+/// name of the test with the smallest chance; none for all residuals together.
 fn p_value(residuals: &[Residual]) -> (f64, Option<String>) {
     let n = residuals.len() as f64;
     if n < 1.0 {

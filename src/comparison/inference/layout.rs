@@ -1,4 +1,4 @@
-//! Which observables take part in a fit, and what a model expects of them.
+//! Observables that take part in a fit, and their expectations under a model.
 
 use super::free::{Free, Point};
 use super::model::listed;
@@ -7,35 +7,36 @@ use radcam_sim::effects::{self, Chain};
 use radcam_sim::predict::Prediction;
 use std::collections::BTreeMap;
 
-/// Expectations at a place.
+/// Expectations at a point.
 pub struct State {
     /// One for each observable that takes part.
     pub expected: Vec<Expected>,
-    /// What the settings of sets scatter by, in units of the light, for each of [`Layout::blocks`].
+    /// Variance of the mean by the setting of its light, DN^2, for each of [`Layout::blocks`].
     pub(super) setting: Vec<f64>,
 }
 
 impl State {
-    /// Whether the scatter of settings is far larger there: that is no matter of small moves.
+    /// Returns true if the scatter of settings is far larger than at `from`: score tests hold for small moves
+    /// only.
     pub fn setting_widens(&self, from: &Self) -> bool {
         self.setting.iter().zip(&from.setting).any(|(a, b)| *a > 4.0 * b)
     }
 }
 
-/// Which observables take part, and those that see the light of one set together.
+/// Observables that take part, grouped by the set whose light they see.
 pub struct Layout<'a> {
     /// The campaign.
     pub all: &'a Observations,
-    /// Those that take part.
+    /// Observables that take part.
     pub rows: Vec<&'a Observable>,
-    /// Their places in [`Observations::list`].
+    /// Indexes of the rows in [`Observations::list`].
     pub(super) places: Vec<usize>,
     halves: Vec<Half>,
-    /// Whether those that only judge take part.
+    /// True if statistics that only judge take part.
     judges: bool,
-    /// Rows that see the light of one setting of it, and its place.
+    /// Index of each light setting, and the rows that see its light.
     pub(super) blocks: Vec<(usize, Vec<usize>)>,
-    /// Place of the setting of every set's light.
+    /// Index of the setting of every set's light.
     settings: Vec<usize>,
     /// Rows of the same frames.
     pub(super) chunks: Vec<Vec<usize>>,
@@ -46,7 +47,7 @@ fn takes_part(o: &Observable, halves: &[Half], judges: bool) -> bool {
 }
 
 impl<'a> Layout<'a> {
-    /// For a fit to these halves, under a model with these effects.
+    /// Lays out a fit to these halves, under a model with these effects.
     pub fn new<'e>(
         all: &'a Observations,
         halves: &[Half],
@@ -55,7 +56,7 @@ impl<'a> Layout<'a> {
         Self::of(all, halves, effects, false)
     }
 
-    /// For a judgement by this half: with the statistics that no fit follows.
+    /// Lays out a judgement by this half, with the statistics that no fit follows.
     pub fn to_judge<'e>(
         all: &'a Observations,
         half: Half,
@@ -101,17 +102,18 @@ impl<'a> Layout<'a> {
         Self { all, rows, places, halves: halves.to_vec(), judges, blocks, chunks, settings }
     }
 
-    /// Place of the setting of a set's light: sets that follow one another under the same light share it.
+    /// Returns the index of the setting of a set's light; sets that follow one another under the same light
+    /// share it.
     pub fn setting_of(&self, set: usize) -> usize {
         self.settings[set]
     }
 
-    /// What a prediction expects of them.
+    /// Computes the expectations of the rows from a prediction.
     pub fn state(&self, prediction: &Prediction) -> State {
         self.state_beside(prediction, None)
     }
 
-    /// The same, where another prediction and its state are known.
+    /// Computes the expectations of the rows, given another prediction and its state.
     pub fn state_beside(&self, prediction: &Prediction, known: Option<(&Prediction, &State)>) -> State {
         let known = known.map(|(p, state)| (p, state.expected.as_slice()));
         let wanted = |o: &Observable| takes_part(o, &self.halves, self.judges);
@@ -122,8 +124,8 @@ impl<'a> Layout<'a> {
         State { expected, setting }
     }
 
-    /// Expectations at `point`, given those at `from` (`known`) and its chain. The scatter of settings moves no
-    /// expectation: if it alone differs, no prediction is needed.
+    /// Computes the expectations at `point`, given those at `from` (`known`) and its chain. The scatter of
+    /// settings moves no expectation: if it alone differs, no prediction is needed.
     pub fn at_from(
         &self,
         free: &Free,
@@ -142,7 +144,7 @@ impl<'a> Layout<'a> {
         self.state_beside(&prediction, Some((chain.prediction(), known)))
     }
 
-    /// What a model at a place expects of them.
+    /// Computes the expectations of the model at a point.
     pub fn at(&self, free: &Free, point: &Point) -> State {
         let (base, effects) = free.unpack(point);
         let list = listed(&effects);

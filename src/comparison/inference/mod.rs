@@ -1,7 +1,8 @@
-//! Fits models to observables, and judges them on frames that the fit did not see.
+//! Fits models to observables, and judges them on held-out frames.
 //!
-//! The light is a nuisance of its own: every light level has a factor that touches its own sets only, so that the normal equations are an
-//! arrowhead and cost grows with the number of sets (Bjorck 1996, Numerical Methods for Least Squares Problems, 6.3).
+//! The light is a nuisance parameter: every light level has a factor that touches its own sets only. The
+//! normal equations are therefore an arrowhead, and the cost grows with the number of sets (Bjorck 1996,
+//! Numerical Methods for Least Squares Problems, 6.3).
 
 mod direction;
 mod exposure_steps;

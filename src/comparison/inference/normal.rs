@@ -1,8 +1,8 @@
-//! Normal equations: an arrowhead, since light factors touch their own sets only.
+//! Normal equations: an arrowhead matrix, since light factors touch their own sets only.
 
 use crate::fit::cholesky::Factor;
 
-/// What a light factor has to say.
+/// Terms of a light factor in the normal equations.
 #[derive(Debug, Clone)]
 pub(super) struct LightTerm {
     pub(super) square: f64,
@@ -16,8 +16,8 @@ pub struct Normal {
     pub(super) n: usize,
     pub(super) matrix: Vec<f64>,
     pub(super) gradient: Vec<f64>,
-    /// Values that no step moves: a scatter that moves no expectation ([`System::scatter_factors`]), and what
-    /// would leave its range.
+    /// Values held in every step: a scatter that moves no expectation ([`System::scatter_factors`]), and
+    /// values that would leave their range.
     pub(super) held: Vec<bool>,
     pub(super) lights: Vec<LightTerm>,
 }
@@ -29,7 +29,7 @@ pub struct Solver {
 }
 
 impl Solver {
-    /// The step that gradients ask for: of the common values and of the lights.
+    /// Solves for a gradient: returns the step of the common values and of the lights.
     pub fn solve(&self, normal: &Normal, gradient: Vec<f64>, lights: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let mut b = gradient;
         for ((l, square), gradient) in normal.lights.iter().zip(&self.squares).zip(lights) {
@@ -46,7 +46,7 @@ impl Solver {
 }
 
 impl Normal {
-    /// Adds what is known of a common value beside the campaign: its weight, 1 over its variance.
+    /// Adds prior knowledge of a common value: its weight, 1 over its variance.
     pub fn add_weight(&mut self, i: usize, weight: f64) {
         self.matrix[i * self.n + i] += weight;
     }
@@ -64,7 +64,7 @@ impl Normal {
         }
     }
 
-    /// Damped; `None` where there is no solution.
+    /// Factors the damped equations; `None` if there is no solution.
     pub fn solver(&self, damping: f64) -> Option<Solver> {
         let n = self.n;
         let mut a = self.matrix.clone();
@@ -88,13 +88,14 @@ impl Normal {
         Some(Solver { factor: Factor::of(&a, n)?, squares })
     }
 
-    /// The step that they ask for, damped; `None` where there is none.
+    /// Returns the damped step; `None` if there is none.
     pub fn step(&self, damping: f64) -> Option<(Vec<f64>, Vec<f64>)> {
         let lights: Vec<f64> = self.lights.iter().map(|l| l.gradient).collect();
         Some(self.solver(damping)?.solve(self, self.gradient.clone(), &lights))
     }
 
-    /// Covariance of the common values with the lights eliminated, row by row; values without any hold keep a large error.
+    /// Computes the covariance of the common values with the lights eliminated, row by row. Undetermined
+    /// values keep a large error.
     pub fn covariance(&self) -> Covariance {
         let n = self.n;
         let mut a = self.matrix.clone();
@@ -121,18 +122,19 @@ impl Normal {
     }
 }
 
-/// Covariance of what was fitted.
+/// Covariance of the fitted values.
 #[derive(Debug, Clone)]
 pub struct Covariance {
     n: usize,
-    /// Of the common values, row by row.
+    /// Covariance of the common values, row by row.
     pub common: Vec<f64>,
-    /// Variance of every light factor for given common values, and how it follows them.
+    /// Variance of every light factor for given common values, and its slopes with them.
     lights: Vec<(f64, Vec<f64>)>,
 }
 
 impl Covariance {
-    /// Variance of something with these slopes with the common values, and this one with a light factor.
+    /// Computes the variance of a quantity from its slopes with the common values, and from its slope with a
+    /// light factor.
     pub fn of(&self, slopes: &[f64], light: Option<(usize, f64)>) -> f64 {
         let n = self.n;
         let mut slopes = slopes.to_vec();

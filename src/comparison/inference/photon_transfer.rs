@@ -25,11 +25,11 @@ struct Point {
     z: f64,
 }
 
-/// Returns the bend of the noise over the level and the sum of squares of its residuals, with all frames in the
-/// fit; nothing of a model that changes codes. `levels`: mean of every set above black, DN.
+/// Tests the bend of the noise over the level and the sum of squares of its residuals, with all frames in the
+/// fit. Returns no test for a model that changes codes. `levels`: mean of every set above black, DN.
 pub(super) fn tests(all: &Observations, model: &Fitted, levels: &[f64]) -> Vec<Test> {
-    // A table of whole codes doubles and leaves out codes: the noise of a level follows their places, by some per
-    // cent that no prediction has (gamma of 0.99, noise of 8 DN: 3 %).
+    // A table of whole codes doubles and leaves out codes. The noise of a level then depends on their places
+    // by some per cent that no prediction has (gamma of 0.99, noise of 8 DN: 3 %).
     if model.effects.iter().any(|(e, values)| e.stage_with(values) >= Stage::Converter) {
         return Vec::new();
     }
@@ -48,7 +48,7 @@ pub(super) fn tests(all: &Observations, model: &Fitted, levels: &[f64]) -> Vec<T
     [bend(&points), squares(&points, fitted)].into_iter().flatten().collect()
 }
 
-/// Returns the part of the residuals that goes with the square of the level, and with neither the level nor a
+/// Tests the part of the residuals that grows with the squared level, orthogonal to the level and to a
 /// constant, which gain and read noise follow.
 fn bend(points: &[Point]) -> Option<Test> {
     let top = points.iter().map(|p| p.level_dn.abs()).fold(0.0, f64::max);
@@ -76,7 +76,7 @@ fn bend(points: &[Point]) -> Option<Test> {
     Some(Test { name: BEND.into(), measured, predicted: 0.0, std_err: SLACK_OF_MEAN, z })
 }
 
-/// Returns the sum of the squares over their number, of which the fit took so many.
+/// Tests the sum of squares over the degrees of freedom. `fitted`: number of fitted parameters.
 fn squares(points: &[Point], fitted: f64) -> Option<Test> {
     let dof = points.len() as f64 - fitted;
     let chi2 = ChiSquared::new(dof).ok().filter(|_| dof >= 1.0)?;
@@ -90,8 +90,8 @@ fn squares(points: &[Point], fitted: f64) -> Option<Test> {
     })
 }
 
-/// Part of a column below which levels and darks do not tell it from the ones before (a named choice, far above
-/// rounding).
+/// Minimum part of a column that the columns before do not contain; with less, levels and darks do not tell
+/// them apart (a named choice, far above rounding).
 const LEAST_LEFT: f64 = 1e-3;
 
 #[cfg(test)]
@@ -111,8 +111,9 @@ mod tests {
         (0..16).map(at).collect()
     }
 
-    /// Normal residuals have a bend of unit deviation before the slack, and squares beyond 2.6 standard errors
-    /// (chance 1 %) in no more than 1 %, over 4000 draws, five of their errors; a bend is found.
+    /// Over 4000 draws of normal residuals the bend has unit deviation before the slack, and the squares
+    /// exceed 2.6 standard errors (chance 1 %) in no more than 1 %; tolerance five standard errors. A real
+    /// bend is found.
     #[test]
     fn tests_of_the_noise_have_their_chances() {
         let n = 4000;

@@ -1,4 +1,4 @@
-//! A quick look at what an effect would bring: by score tests, before anything is fitted.
+//! Score tests: rank candidate effects without refitting.
 
 use super::direction::Direction;
 use super::fit::{Fitted, halves};
@@ -10,24 +10,24 @@ use super::system::System;
 use crate::observables::Observations;
 use radcam_sim::effects::{self, Chain, Effect};
 
-/// Sizes, relative to an effect's own start, at which its shape is looked at: many shapes change with the size.
+/// Sizes, relative to an effect's own start, at which its shape is tested: many shapes change with the size.
 const SIZES: [f64; 3] = [1.0, 0.1, 10.0];
-/// Where the best multiple of a start promises less than this share of what is needed, or of what another start of the same form does,
-/// other sizes are not looked at (a named choice).
+/// Minimum promised gain, as a share of the needed gain or of that of another start of the same form. Below
+/// it other sizes are not tried (a named choice).
 const TOO_LITTLE: f64 = 0.1;
-/// A move that reaches this share of what a move in proportion would reach at best is one.
+/// Minimum share of the best gain of a proportional move for a move to count as proportional.
 const IN_PROPORTION: f64 = 0.9;
 
-/// A start with what it promises.
+/// A start with its promised gain.
 #[derive(Debug, Clone)]
 pub struct Scored {
     /// Values of the effect's parameters.
     pub values: Vec<f64>,
-    /// By how much the sum of squares would fall; infinite where that cannot be told without a fit.
+    /// Predicted drop of the sum of squares; infinite if only a fit can tell it.
     pub gain: f64,
 }
 
-/// Values with their sizes multiplied, within their ranges.
+/// Multiplies the sizes among some values, within their ranges.
 fn sized(effect: &dyn Effect, given: &[Option<f64>], values: &[f64], by: f64) -> Vec<f64> {
     let of = |(v, p): (&f64, &effects::Parameter)| {
         if p.is_size() { (v * by).clamp(p.min, p.max) } else { *v }
@@ -35,8 +35,8 @@ fn sized(effect: &dyn Effect, given: &[Option<f64>], values: &[f64], by: f64) ->
     as_given(&values.iter().zip(effect.parameters()).map(of).collect::<Vec<_>>(), given)
 }
 
-/// The best multiple of a size, if the move is in proportion to it, and if it is so to its square; a sign that the effect cannot have is left
-/// out.
+/// Returns the best multiple of a size for a move in proportion to it, and for a move in proportion to its
+/// square. A sign that the effect cannot have is left out.
 fn multiples(effect: &dyn Effect, in_proportion: f64) -> Vec<f64> {
     let crosses = !effect.keeps_sign() && effect.parameters().iter().any(|p| p.is_size() && p.min < 0.0);
     let all = [in_proportion, in_proportion.abs().sqrt()];
@@ -44,12 +44,12 @@ fn multiples(effect: &dyn Effect, in_proportion: f64) -> Vec<f64> {
     all.into_iter().filter(possible).map(|by| by.clamp(-1e4, 1e4)).collect()
 }
 
-/// The better of two starts.
+/// Returns the better of two starts.
 fn better(best: Option<Scored>, values: Vec<f64>, gain: f64) -> Option<Scored> {
     if best.as_ref().is_none_or(|b| gain > b.gain) { Some(Scored { values, gain }) } else { best }
 }
 
-/// The place of a fit, ready for looks in many directions.
+/// A fit, prepared for score tests of many effects.
 pub struct Screen<'a> {
     now: &'a Fitted,
     layout: Layout<'a>,
@@ -62,7 +62,7 @@ pub struct Screen<'a> {
 }
 
 impl<'a> Screen<'a> {
-    /// At a fit. `needed`: what promises far less than this is of no use, as long as its size is not far from its start.
+    /// Prepares a fit. `needed`: gain far below which a start is of no use, if its size is not far off.
     pub fn new(all: &'a Observations, now: &'a Fitted, needed: f64) -> Self {
         let layout = Layout::new(all, &halves(None), now.effects.iter().map(|(e, _)| e));
         let (free, point) = Free::new(all, &now.base, &now.effects);
@@ -72,12 +72,13 @@ impl<'a> Screen<'a> {
         Self { now, layout, free, point, state, slopes, chain, needed }
     }
 
-    /// Slopes at the fit.
+    /// Returns the slopes at the fit.
     pub(crate) fn slopes(&self) -> &Slopes {
         &self.slopes
     }
 
-    /// Starts of one more effect, the most promising first; those that move nothing are left out. `given`: values that are known.
+    /// Returns starts of one more effect, the most promising first, without those that move nothing. `given`:
+    /// known values.
     pub fn starts(
         &self,
         effect: &'static dyn Effect,
@@ -88,7 +89,7 @@ impl<'a> Screen<'a> {
         Direction::new(&system).map_or_else(Vec::new, |d| self.starts_in(&d, effect, given, hinted))
     }
 
-    /// The same with the slopes at hand.
+    /// Returns the same starts for a prepared score test.
     fn starts_in(
         &self,
         direction: &Direction<'_, '_>,
@@ -113,7 +114,8 @@ impl<'a> Screen<'a> {
         out
     }
 
-    /// A start with its sizes multiplied by whatever promises most; where that is far below what is `needed`, as a first look has it.
+    /// Multiplies the sizes of a start for the largest promised gain. If the first size promises far less
+    /// than `needed`, its result stays.
     fn best_size(
         &self,
         direction: &Direction<'_, '_>,
@@ -160,7 +162,7 @@ impl<'a> Screen<'a> {
         direction.left_of(&self.state, there)
     }
 
-    /// Where an effect has several sizes, the best of all of them together, in one step from a start.
+    /// Optimises several sizes of an effect jointly, in one step from a start.
     fn refined(
         &self,
         direction: &Direction<'_, '_>,
@@ -200,7 +202,8 @@ impl<'a> Screen<'a> {
         (gain > start.gain).then_some(Scored { values, gain })
     }
 
-    /// A fit that keeps signs begins at every combination of them; another passes from one to the other.
+    /// Returns the starts with every combination of signs, for an effect whose fit keeps signs. Other fits
+    /// pass from one sign to the other.
     fn signed(&self, effect: &dyn Effect, hinted: &[Vec<f64>]) -> Vec<Vec<f64>> {
         if !effect.keeps_sign() {
             return hinted.to_vec();

@@ -1,5 +1,5 @@
-//! Whether the settings of sets scatter one by one, as they are said to. A lamp that jumps, a response that bends or has a step is no
-//! scatter.
+//! Tests of independent scatter of the settings of sets. A lamp that jumps, or a response that bends or has a
+//! step, is no scatter.
 
 use super::fit::{Fitted, halves};
 use super::layout::Layout;
@@ -10,7 +10,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use statrs::function::erf::erfc_inv;
 use std::collections::BTreeMap;
 
-/// Sets from which on the order of their settings tells something.
+/// Minimum number of sets for the order of their settings to tell anything.
 const FEWEST: usize = 8;
 
 /// Names of tests that tell a lamp's setting from something else.
@@ -23,7 +23,7 @@ pub const STEP_IN_SIGNAL: &str = "step of light settings, in the order of the si
 /// See [`STEP_IN_SIGNAL`].
 pub const ALIKE_IN_SIGNAL: &str = "succession of light settings, in the order of the signal";
 
-/// Deviation that a test of this name finds, in words.
+/// Returns the deviation that a test of this name finds, in words.
 pub fn words(name: &str) -> Option<&'static str> {
     match name {
         THAT_COME_BACK => {
@@ -44,7 +44,7 @@ pub fn words(name: &str) -> Option<&'static str> {
     }
 }
 
-/// What a test of the settings found.
+/// Result of a test of the settings.
 pub(super) struct Test {
     pub name: String,
     pub measured: f64,
@@ -53,11 +53,12 @@ pub(super) struct Test {
     pub z: f64,
 }
 
-/// Deviation of the setting of a set, over what it is expected to scatter by.
+/// Set, and the standardised deviation of its setting.
 type Score = (usize, f64);
 
-/// Whether settings of the same light differ as others do, the correlation of successive ones, and the largest step between two runs of
-/// them, in the order of time and in that of the signal. `levels`: mean of every set, DN.
+/// Tests whether settings of the same light differ as others do, whether those at long exposures scatter
+/// alike, the correlation of successive ones, and the largest step between two runs of them, in the order of
+/// time and of the signal. `levels`: mean of every set, DN.
 pub(super) fn tests(all: &Observations, model: &Fitted, levels: &[f64]) -> Vec<Test> {
     let layout = Layout::new(all, &halves(None), model.free.effects.iter());
     let state = layout.at(&model.free, &model.point);
@@ -74,12 +75,12 @@ pub(super) fn tests(all: &Observations, model: &Fitted, levels: &[f64]) -> Vec<T
     out
 }
 
-/// As many standard deviations as have this chance.
+/// Converts a two-sided chance to normal standard deviations.
 pub(super) fn as_z(p_value: f64) -> f64 {
     std::f64::consts::SQRT_2 * erfc_inv(p_value.clamp(1e-300, 1.0))
 }
 
-/// Whether settings of the same light are too alike.
+/// Tests whether settings of the same light are too alike.
 fn coming_back(all: &Observations, scores: &[Score]) -> Option<Test> {
     let (mean_square, dof) = repeats(all, scores)?;
     let alike = ChiSquared::new(dof).map_or(1.0, |c| (2.0 * c.cdf(dof * mean_square)).min(1.0));
@@ -87,17 +88,17 @@ fn coming_back(all: &Observations, scores: &[Score]) -> Option<Test> {
         name: THAT_COME_BACK.into(),
         measured: mean_square,
         predicted: 1.0,
-        // Of chi-squared over its degrees of freedom.
+        // Standard error of chi-squared over its degrees of freedom.
         std_err: (2.0 / dof).sqrt(),
         z: -as_z(alike),
     })
 }
 
-/// Ratio of exposures from which on the long ones are told from the short ones (a named choice).
+/// Minimum ratio of the long exposures to the short ones, for the test at long exposures (a named choice).
 const LONGER: f64 = 4.0;
 
-/// Lower-tail chi-square test of the settings at long exposures. A lamp is off by a part of its light at any exposure;
-/// an exposure is off by a time, which matters less the longer it is.
+/// Tests whether settings at long exposures scatter too little (lower tail of chi-square). A lamp is off by a
+/// part of its light at any exposure; an exposure is off by a time, which matters less the longer it is.
 fn at_long_exposures(all: &Observations, scores: &[Score]) -> Option<Test> {
     let of = |score: &Score| (all.campaign.sets[score.0].exposure_s, score.1);
     let (measured, dof, z) = scatter_of_long(scores.iter().map(of).collect())?;
@@ -105,8 +106,8 @@ fn at_long_exposures(all: &Observations, scores: &[Score]) -> Option<Test> {
     Some(Test { name: AT_LONG_EXPOSURES.into(), measured, predicted: 1.0, std_err, z })
 }
 
-/// Mean square of the deviations in the longer half of the exposures over that of all, its degrees of freedom and z.
-/// Input: (exposure in s, deviation).
+/// Computes the mean square of the deviations in the longer half of the exposures over that of all, its
+/// degrees of freedom and z. Input: (exposure in s, deviation).
 fn scatter_of_long(mut sorted: Vec<(f64, f64)>) -> Option<(f64, f64, f64)> {
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (short, long) = sorted.split_at(sorted.len() / 2);
@@ -120,7 +121,7 @@ fn scatter_of_long(mut sorted: Vec<(f64, f64)>) -> Option<(f64, f64, f64)> {
     Some((measured, dof, -as_z(alike)))
 }
 
-/// Correlation of successive settings, and the largest step between two runs of them.
+/// Tests the correlation of successive settings, and the largest step between two runs of them.
 fn in_order(scores: &[Score], order: &str) -> Vec<Test> {
     let values: Vec<f64> = scores.iter().map(|s| s.1).collect();
     let name = |what: &str| format!("{what} of light settings, in the order of {order}");
@@ -137,13 +138,14 @@ fn in_order(scores: &[Score], order: &str) -> Vec<Test> {
     out
 }
 
-/// Mean square, over that of all, of the deviations of settings from the mean of those with the same light and exposure, and its degrees of
-/// freedom: a lamp that is set again does not come back to the same error, and a response that bends does.
+/// Computes the mean square of the deviations of settings from the mean of those with the same light and
+/// exposure, over that of all, and its degrees of freedom. A lamp that is set again does not return to the
+/// same error; a response that bends does.
 fn repeats(all: &Observations, scores: &[Score]) -> Option<(f64, f64)> {
     let key = |set: usize| (all.campaign.sets[set].light, all.campaign.sets[set].exposure_s.to_bits());
     let mut groups: BTreeMap<_, Vec<f64>> = BTreeMap::new();
     for (i, (set, score)) in scores.iter().enumerate() {
-        // Sets in a row of the same light are one setting.
+        // Successive sets of the same light are one setting.
         if i == 0 || key(scores[i - 1].0) != key(*set) {
             groups.entry(key(*set)).or_default().push(*score);
         }
@@ -171,8 +173,8 @@ mod tests {
         assert_eq!(names, [ALIKE_IN_SIGNAL, STEP_IN_SIGNAL]);
     }
 
-    /// Of 1000 lamps whose 16 settings scatter alike at all exposures at most one is rejected at 3.3 standard errors
-    /// (p 1e-3); of 100 exposures that are off by a time of their own nearly all are.
+    /// At most one of 1000 lamps whose 16 settings scatter alike at all exposures is rejected at 3.3 standard
+    /// errors (p 1e-3); nearly all of 100 exposures that are off by a time of their own are.
     #[test]
     fn settings_scatter_alike_at_all_exposures() {
         let of = |seed: u64, deviation: &dyn Fn(f64) -> f64| {

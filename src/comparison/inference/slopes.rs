@@ -1,4 +1,5 @@
-//! How expectations change with what is fitted: taken by differences, and handed from fit to fit as long as they serve.
+//! Slopes (Jacobian) of the expectations with the fitted values: computed by differences, and handed from fit
+//! to fit as long as they serve.
 
 use super::free::{Common, Free, Key, Point};
 use super::layout::{Layout, State};
@@ -7,15 +8,15 @@ use crate::observables::monitor;
 use radcam_sim::effects::Chain;
 use rayon::prelude::*;
 
-/// How expectations change with the common values, at some place.
+/// Slopes of the expectations with the common values, at some point.
 #[derive(Clone)]
 pub struct Slopes {
-    /// What each is of; `None` for what is not known.
+    /// Key of each value; `None` if its slopes are not known.
     keys: Vec<Option<Key>>,
     /// Places of the rows in [`Observations::list`], and sets of the blocks.
     rows: Vec<usize>,
     sets: Vec<usize>,
-    /// Per unit of [`Point::x`], row by row.
+    /// Slopes per unit of [`Point::x`], row by row.
     expected: Vec<f64>,
     /// Change of the logarithm of the error of rows whose error is fitted, per unit of [`Point::x`].
     pub(super) scatter: Vec<(usize, Vec<f64>)>,
@@ -25,17 +26,18 @@ pub struct Slopes {
 }
 
 impl Slopes {
-    /// At a place.
+    /// Computes the slopes at a point.
     pub fn new(layout: &Layout<'_>, free: &Free, point: &Point, now: &State) -> Self {
         Self::beside(None, layout, free, point, now)
     }
 
-    /// Memory that they take, about.
+    /// Returns the approximate memory use, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.expected.as_slice()) + size_of_val(self.setting.as_slice())
     }
 
-    /// At a place near one where they are known, maybe of another model or of other halves: of what is not known there only.
+    /// Computes the slopes at a point near one where they are known, perhaps of another model or other
+    /// halves. Only slopes that are not known there are computed.
     pub fn beside(
         known: Option<&Self>,
         layout: &Layout<'_>,
@@ -63,7 +65,7 @@ impl Slopes {
         out
     }
 
-    /// For the rows of a layout, all 0.
+    /// Returns slopes of 0 for the rows of a layout.
     fn of_nothing(layout: &Layout<'_>, free: &Free) -> Self {
         let (n, rows, blocks) = (free.common.len(), layout.rows.len(), layout.blocks.len());
         let monitors = (0..rows).filter(|r| layout.rows[*r].is(&monitor::Monitor));
@@ -78,13 +80,13 @@ impl Slopes {
         }
     }
 
-    /// Takes the slopes with one value at this place.
+    /// Computes the slopes with one value again, at this point.
     pub fn take_again(&mut self, i: usize, layout: &Layout<'_>, free: &Free, point: &Point, now: &State) {
         let (step, there) = moved(layout, free, point, now, None, i);
         self.put(i, step, now, &there);
     }
 
-    /// The slopes with one value: what a step of it did.
+    /// Sets the slopes with one value from the states before and after a step of it.
     fn put(&mut self, i: usize, step: f64, now: &State, there: &State) {
         let n = self.scale.len();
         for (r, (a, b)) in now.expected.iter().zip(&there.expected).enumerate() {
@@ -98,13 +100,13 @@ impl Slopes {
         }
     }
 
-    /// Whether these rows and blocks are among its own; all are in order.
+    /// Returns true if these rows and sets are among its own; rows are in ascending order.
     fn has_all(&self, rows: &[usize], sets: &[usize]) -> bool {
         let among = |few: &[usize], all: &[usize]| few.iter().all(|x| all.binary_search(x).is_ok());
         among(rows, &self.rows) && sets.iter().all(|s| self.sets.contains(s))
     }
 
-    /// Takes over what is known elsewhere, each from its place there.
+    /// Copies known slopes, each from its place there.
     fn take(&mut self, known: &Self, places: &[Option<usize>]) {
         let (n, m) = (self.scale.len(), known.scale.len());
         let own = |r: usize| known.rows.binary_search(&r).unwrap_or(0);
@@ -127,9 +129,10 @@ impl Slopes {
         }
     }
 
-    /// Makes the slopes say of a step what it did, which costs no prediction (Broyden 1965; Madsen, Nielsen and Tingleff 2004, section 3.5).
-    /// What they missed is given to the values in proportion to what each moved, in units of what the campaign tells of it: `weights`, the
-    /// diagonal of the normal matrix. `predicted`: what the slopes made of the step, row by row.
+    /// Updates the slopes so that they reproduce a step, without a prediction (Broyden 1965; Madsen, Nielsen
+    /// and Tingleff 2004, section 3.5). Their error is distributed over the values in proportion to the move
+    /// of each, in the metric of `weights`, the diagonal of the normal matrix. `predicted`: effect of the
+    /// step by the old slopes, row by row.
     pub fn follow(&mut self, moved: &[f64], weights: &[f64], predicted: &[f64], from: &State, to: &State) {
         let weighted: Vec<f64> = moved.iter().zip(weights).map(|(x, w)| x * w).collect();
         let square: f64 = weighted.iter().zip(moved).map(|(w, x)| w * x).sum();
@@ -145,7 +148,8 @@ impl Slopes {
         }
     }
 
-    /// What they make of a step of the common values and of the factor of each row's light, whose slope is that of the value `light`.
+    /// Predicts the effect of a step of the common values and of the factor of each row's light. The slope of
+    /// that factor is the slope of the value `light`.
     pub fn predicted(&self, moved: &[f64], light: Option<usize>, factors: impl Fn(usize) -> f64) -> Vec<f64> {
         let of = |(r, row): (usize, &[f64])| {
             let common: f64 = row.iter().zip(moved).map(|(s, x)| s * x).sum();
@@ -154,7 +158,7 @@ impl Slopes {
         self.expected.chunks_exact(moved.len()).enumerate().map(of).collect()
     }
 
-    /// Over the errors of the expectations.
+    /// Returns the slopes over the errors of the expectations.
     pub fn over_errors(&self, now: &State) -> Vec<f64> {
         let n = self.scale.len();
         let mut out = Vec::with_capacity(self.expected.len());
@@ -165,7 +169,7 @@ impl Slopes {
     }
 }
 
-/// A small step of one value, within its bounds, and what is expected there.
+/// Takes a small step of one value, within its bounds; returns the step and the state there.
 fn moved(
     layout: &Layout<'_>,
     free: &Free,
@@ -192,7 +196,8 @@ mod tests {
         State { expected: values.iter().map(expected).collect(), setting: Vec::new() }
     }
 
-    /// What defines the update: after a step the slopes say what it did, and across it (in the metric of the weights) what they predicted before.
+    /// Definition of the update: after a step the slopes reproduce it; across the step (in the metric of the
+    /// weights) they predict what they did before.
     #[test]
     fn slopes_follow_a_step_and_stay_across_it() {
         let before = vec![1.0, 2.0, -0.5, 3.0];

@@ -6,14 +6,15 @@ use crate::observables::{Half, Observations, Setting, Statistic, mean, monitor, 
 use crate::statistics::median::median;
 use radcam_sim::predict::{BaseParameters, Monitor};
 
-/// Below this share of the brightest signal a flat tells little of light and gain: the zero and the dark variance are in it.
+/// Minimum signal of a flat, as a share of the brightest signal, to tell light and gain: a dimmer one
+/// contains too much of black level and dark variance.
 const DIM: f64 = 0.02;
 
 /// Largest relative variance of the pixels' read-noise variances: one pixel in a hundred with ten times the noise
 /// of the others has 25.
 pub(super) const MOST_SPREAD: f64 = 1e3;
 
-/// A first guess of the paper's parameters.
+/// Makes a first guess of the paper's parameters.
 pub fn start(all: &Observations) -> BaseParameters {
     let (offset_dn, dark_dn_per_s) = if all.is_table { (0.0, 0.0) } else { zero_and_dark(all) };
     let signal_dn = signals(all, offset_dn);
@@ -48,14 +49,14 @@ pub fn start(all: &Observations) -> BaseParameters {
     }
 }
 
-/// Spread of the pixels' read-noise variances, relative, as the darks show it.
+/// Estimates the relative spread of the pixels' read-noise variances from the darks.
 fn read_noise_spread(all: &Observations, dark_var_dn2: f64) -> f64 {
     let shown = median(values(all, &unequal::Unequal, Some(Kind::Dark)).map(|v| v.1));
     let own = dark_var_dn2 / (dark_var_dn2 - 1.0 / 12.0).max(0.01);
     if shown.is_finite() { (shown * own * own).clamp(0.0, MOST_SPREAD) } else { 0.0 }
 }
 
-/// Values of a statistic of sets, each with its set.
+/// Returns the values of a statistic of sets, each with its set.
 fn values<'a>(
     all: &'a Observations,
     statistic: &'static dyn Statistic,
@@ -67,19 +68,19 @@ fn values<'a>(
     })
 }
 
-/// Mean of every set above the zero, DN; not a number where it has none.
+/// Computes the mean of every set above the zero, DN; NaN for a set without a mean.
 fn signals(all: &Observations, offset_dn: f64) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); all.campaign.sets.len()];
     values(all, &mean::Mean, None).for_each(|(set, v)| sums[set] = (sums[set].0 + v, sums[set].1 + 1.0));
     sums.into_iter().map(|(sum, n)| sum / n - offset_dn).collect()
 }
 
-/// Dark charge tells something of the gain where it moves the mean by this multiple of the noise of a pixel: its
-/// own noise is in the variance then.
+/// Minimum level of the dark charge, as a multiple of the noise of a pixel, to tell the gain: the shot noise
+/// of the charge is then in the variance.
 const BRIGHT_DARKS: f64 = 0.2;
 
-/// A, from the noise of the dark charge where there is no light, and enough of it; `None`: nothing tells the
-/// gain.
+/// Estimates A from the shot noise of the dark charge, in a campaign without light; `None` if there is too
+/// little charge to tell the gain.
 pub fn of_darks(all: &Observations, offset_dn: f64) -> Option<f64> {
     let variances: Vec<(usize, f64)> = values(all, &variance::Variance, Some(Kind::Dark)).collect();
     let signal = signals(all, offset_dn);
@@ -90,12 +91,12 @@ pub fn of_darks(all: &Observations, offset_dn: f64) -> Option<f64> {
     (level > BRIGHT_DARKS * least.max(0.0).sqrt()).then(|| more.max(0.02 * least) / level)
 }
 
-/// True for a campaign with flats.
+/// Returns true for a campaign with flats.
 pub fn has_flats(all: &Observations) -> bool {
     values(all, &variance::Variance, Some(Kind::Flat)).next().is_some() || all.is_table
 }
 
-/// A, from the slope of the variance over the signal.
+/// Estimates A from the slope of the variance over the signal.
 fn gain(points: &[(f64, f64)], dark_var_dn2: f64, top_dn: f64) -> f64 {
     let slope = |p: &(f64, f64)| (p.0, (p.1 - dark_var_dn2) / p.0.max(1e-6));
     let slopes: Vec<_> = points.iter().map(slope).collect();
@@ -103,7 +104,7 @@ fn gain(points: &[(f64, f64)], dark_var_dn2: f64, top_dn: f64) -> f64 {
     before_the_end(&slopes, top_dn).unwrap_or(slope(&middle).1).max(1e-6)
 }
 
-/// Light of every level, e/s.
+/// Estimates the light of every level, e/s.
 fn flux(all: &Observations, signal_dn: &[f64], gain_dn_per_e: f64, top_dn: f64) -> Vec<f64> {
     let levels = all.campaign.sets.iter().filter_map(|s| s.light).max().map_or(0, |l| l + 1);
     let mut rates: Vec<Vec<(f64, f64)>> = vec![Vec::new(); levels];
@@ -120,7 +121,8 @@ fn flux(all: &Observations, signal_dn: &[f64], gain_dn_per_e: f64, top_dn: f64) 
     rates.iter().map(of_level).collect()
 }
 
-/// Where a level has less than its nominal light says, the range may have ended: nothing would draw it up again.
+/// Raises levels below their nominal light to it: the range may have ended there, and nothing would raise
+/// them later.
 fn raise_clipped(all: &Observations, signal_dn: &[f64], top_dn: f64, flux_e_per_s: &mut [f64]) {
     if all.is_table || flux_e_per_s.len() < 2 {
         return;
@@ -143,7 +145,7 @@ fn raise_clipped(all: &Observations, signal_dn: &[f64], top_dn: f64, flux_e_per_
     }
 }
 
-/// The light monitor, where there are readings of it.
+/// Estimates the parameters of the light monitor; `None` without readings.
 fn monitor_of(all: &Observations, flux_e_per_s: &[f64]) -> Option<Monitor> {
     let reading = |(set, v): (usize, f64)| {
         let set = &all.campaign.sets[set];
@@ -154,12 +156,13 @@ fn monitor_of(all: &Observations, flux_e_per_s: &[f64]) -> Option<Monitor> {
         return None;
     }
     let middle = median(readings.iter().copied());
-    // The median of the deviations of normal numbers is 0.6745 of their deviation.
+    // The median absolute deviation of normal numbers is 0.6745 standard deviations.
     let scatter = median(readings.iter().map(|r| (r - middle).abs())) / 0.6745;
     Some(Monitor { ln_per_e: middle, rel: scatter.max(1e-5) })
 }
 
-/// Black level at zero exposure, DN, and dark signal, DN/s, from the shortest and the longest darks.
+/// Estimates the black level at zero exposure, DN, and the dark signal, DN/s, from the shortest and the
+/// longest darks.
 fn zero_and_dark(all: &Observations) -> (f64, f64) {
     let darks: Vec<(f64, f64)> = values(all, &mean::Mean, Some(Kind::Dark))
         .map(|(s, m)| (all.campaign.sets[s].exposure_s, m))
@@ -184,7 +187,7 @@ fn are_long(all: &Observations, exposure_s: f64) -> bool {
     longest > 0.0 && exposure_s > LONG_DARKS * longest
 }
 
-/// Noise of darks, the largest of their deviations, DN.
+/// Returns the noise of the darks: the largest of their standard deviations, DN.
 fn dark_noise_dn(all: &Observations) -> f64 {
     values(all, &variance::Variance, Some(Kind::Dark)).map(|v| v.1).fold(0.0, f64::max).sqrt()
 }
@@ -195,8 +198,8 @@ fn is_far_above_the_flats(all: &Observations, dark_dn: f64) -> bool {
     zero_of_flats(all).is_some_and(|zero_dn| dark_dn - zero_dn > AROUND_DARKS * dark_noise_dn(all).max(1.0))
 }
 
-/// Level of the flats at zero exposure, DN: that of the line through the shortest and the median one, of the light
-/// with most exposures.
+/// Estimates the level of the flats at zero exposure, DN: that of the line through the shortest and the
+/// median exposure, at the light with most exposures.
 fn zero_of_flats(all: &Observations) -> Option<f64> {
     let mut of_lights: std::collections::BTreeMap<Option<usize>, Vec<(f64, f64)>> = Default::default();
     for (set, dn) in values(all, &mean::Mean, Some(Kind::Flat)) {
@@ -209,12 +212,12 @@ fn zero_of_flats(all: &Observations) -> Option<f64> {
     (b.0 > a.0).then(|| a.1 - a.0 * (b.1 - a.1) / (b.0 - a.0))
 }
 
-/// Noise of a dark sample beyond which the black level at zero exposure does not lie outside the darks (a named
-/// choice: where darks are cut off at code 0 it lies below what is left of them).
+/// Maximum distance of the black level at zero exposure from the darks, in multiples of the noise of a dark
+/// sample (a named choice: where darks are cut off at code 0, it lies below what is left of them).
 const AROUND_DARKS: f64 = 8.0;
 
-/// Between which values the black level at zero exposure lies, DN, as the darks say; any where there is none. A
-/// line that saturated sets have tilted would else take it to where all darks are cut off.
+/// Returns the bounds of the black level at zero exposure, DN, from the darks; infinite without darks.
+/// Unbounded, a line tilted by saturated sets would take it to where all darks are cut off.
 pub(super) fn zero_bounds(all: &Observations) -> (f64, f64) {
     let darks: Vec<(f64, f64)> = values(all, &mean::Mean, Some(Kind::Dark))
         .map(|(s, m)| (all.campaign.sets[s].exposure_s, m))
@@ -235,7 +238,8 @@ pub(super) fn zero_bounds(all: &Observations) -> (f64, f64) {
     (lowest - around - charge, highest + around)
 }
 
-/// The variance at no light, DN^2, from the dimmest of points of (signal, variance) without a dark among them.
+/// Estimates the variance without light, DN^2, from the dimmest points (signal, variance) when there is no
+/// dark.
 fn intercept(points: &[(f64, f64)]) -> f64 {
     let Some(first) = points.first() else { return 1.0 };
     let line = points.iter().take(points.len().clamp(2, 24));
@@ -247,22 +251,23 @@ fn intercept(points: &[(f64, f64)]) -> f64 {
     at_zero.clamp(0.01 * first.1, 0.99 * first.1)
 }
 
-/// The usual one of values that fall where the range has ended, of (level, value): where three or more levels lie in the lower half of
-/// all up to `top`, their median; where few do, that of the largest. `None` where no level stands out.
+/// Estimates the typical value of points (level, value) below the end of the range, where values fall: the
+/// median over the lower half of the levels up to `top` if three or more lie there, else that of the largest
+/// values. `None` if no level stands out.
 fn before_the_end(all: &[(f64, f64)], top: f64) -> Option<f64> {
     let clear = || all.iter().filter(|p| p.0 > DIM * top);
     let low = || clear().filter(|p| p.0 <= 0.55 * top).map(|p| p.1);
     if low().count() >= 3 { Some(median(low())) } else { of_the_largest(clear().map(|p| p.1)) }
 }
 
-/// Median of the values that are not far below the largest; `None` without any.
+/// Returns the median of the values that are not far below the largest; `None` without any.
 fn of_the_largest(values: impl Iterator<Item = f64>) -> Option<f64> {
     let all: Vec<f64> = values.filter(|v| v.is_finite()).collect();
     let largest = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     (!all.is_empty()).then(|| median(all.into_iter().filter(|v| *v >= 0.7 * largest)))
 }
 
-/// The light level that the others are counted from.
+/// Returns the light level to which the others are relative.
 pub fn reference_level(all: &Observations) -> usize {
     // Levels that are known to both halves beforehand are those of scenes and clipped sets.
     let mut measured = vec![false; all.campaign.sets.len()];

@@ -1,4 +1,5 @@
-//! Residuals and slopes at one place of a fit: common values, and light factors that touch their own sets only.
+//! Residuals and slopes at one point of a fit: common values, and light factors that touch their own sets
+//! only.
 
 use super::free::{Common, Free, Point};
 use super::layout::{Layout, State};
@@ -7,58 +8,60 @@ use super::slopes::Slopes;
 use super::white::White;
 use crate::observables::{Expected, HEAVY_DOF, Observable, lightened};
 
-/// From here on the square of a residual says that the model is wrong, and not how large its scatter is.
+/// Maximum squared residual that counts for a fitted scatter; a larger one says that the model is wrong, not
+/// how large the scatter is.
 const LARGE: f64 = 16.0;
 
-/// Degrees of freedom below which nothing tells how much settings scatter (a named choice).
+/// Minimum degrees of freedom that tell the scatter of settings (a named choice).
 const LEAST_TOLD: f64 = 0.5;
-/// Variance of settings over that of the frames' means below which it is none.
+/// Variance of settings, over that of the frames' means, below which it counts as none.
 const NO_SETTING: f64 = 1e-6;
 
-/// Rows and what they say of every value, at one place.
+/// Rows with their slopes, at one point.
 pub struct System<'a> {
     pub(super) layout: &'a Layout<'a>,
     /// Number of common values.
     pub(super) n: usize,
     /// Standardised residuals; after those of the observables, one for each set whose setting scatters.
     pub z: Vec<f64>,
-    /// What each residual's square is expected to be.
+    /// Expected square of each residual.
     expected_square: Vec<f64>,
     /// Slopes of the expectations with the common values over their errors, row by row.
     pub slopes: Vec<f64>,
     /// Slope with the factor of the row's light level.
     pub(super) by_light: Vec<f64>,
-    /// Which factor that is.
+    /// Index of that factor.
     pub(super) light: Vec<Option<usize>>,
-    /// Rows whose error is a scatter that is fitted, with its logarithm's slopes.
+    /// Rows whose error is a fitted scatter, with the slopes of its logarithm.
     scatter: Vec<(usize, Vec<f64>)>,
     pub(super) blocks: Vec<Block>,
     pub(super) white: White,
     priors: Vec<(usize, f64, f64)>,
     lights: usize,
-    /// Information on each open light, beside the settings that scatter.
+    /// Information on each open light, without the settings that scatter.
     known_light: Vec<f64>,
 }
 
-/// Observables of one set that see its light, where its setting scatters.
+/// Observables of one set that see its light, for a setting that scatters.
 pub(super) struct Block {
     pub(super) rows: Vec<usize>,
-    /// Place of the setting.
+    /// Index of the setting.
     setting: usize,
-    /// Slope of each with the light over its error.
+    /// Slope of each row with the light, over its error.
     pub(super) loads: Vec<f64>,
-    /// Sum of their squares.
+    /// Sum of the squared loads.
     pub(super) weight: f64,
-    /// Square of what the light moves the mean by, DN^2.
+    /// Squared slope of the mean with the light, DN^2.
     pub(super) unit: f64,
-    /// Part of a degree of freedom that it tells of the scatter of settings.
+    /// Part of a degree of freedom that it contributes to the scatter of settings.
     pub(super) told: f64,
-    /// Variance of the setting and of what the frames tell of it, in units of the light.
+    /// Variance of the setting plus that of the frames' estimate of it, in units of the light squared.
     pub(super) variance: f64,
 }
 
 impl Block {
-    /// Takes the common part of its rows, in proportion to their loads, off rows of n numbers, and returns it.
+    /// Subtracts the common part of its rows, in proportion to their loads, from rows of n numbers, and
+    /// returns it.
     fn take_common_of(&self, values: &mut [f64], n: usize) -> Vec<f64> {
         let mut common = vec![0.0; n];
         for (r, a) in self.rows.iter().zip(&self.loads) {
@@ -71,7 +74,7 @@ impl Block {
         common
     }
 
-    /// The same of single numbers.
+    /// Subtracts the common part of its rows from single numbers, and returns it.
     pub(super) fn take_common(&self, values: &mut [f64]) -> f64 {
         let rows = || self.rows.iter().zip(&self.loads);
         let common = rows().map(|(r, a)| a * values[*r]).sum::<f64>() / self.weight;
@@ -80,7 +83,7 @@ impl Block {
     }
 }
 
-/// Sums of products of all rows: the piece that the vector units take.
+/// Sums of products over all rows: the vectorised part.
 struct Products<'s, 'a> {
     system: &'s System<'a>,
     out: &'s mut Normal,
@@ -97,7 +100,7 @@ impl pulp::NullaryFnOnce for Products<'_, '_> {
     }
 }
 
-/// Makes residuals with heavy tails cost what they do.
+/// Replaces residuals with heavy tails by normal ones of the same cost.
 fn lighten(z: &mut [f64], at: &State) {
     for (z, _) in z.iter_mut().zip(&at.expected).filter(|(_, e)| e.heavy) {
         *z = lightened(*z);
@@ -105,7 +108,7 @@ fn lighten(z: &mut [f64], at: &State) {
 }
 
 impl<'a> System<'a> {
-    /// At a place, with slopes there or near.
+    /// Builds the system at a point, with slopes there or near.
     pub fn new(layout: &'a Layout<'a>, free: &Free, point: &Point, now: &State, known: &Slopes) -> Self {
         let n = free.common.len();
         let rows = layout.rows.len();
@@ -114,13 +117,13 @@ impl<'a> System<'a> {
         white.apply(&mut slopes, n);
         let mut z: Vec<f64> = now.expected.iter().map(Expected::z).collect();
         white.apply(&mut z, 1);
-        // Student's t as weights that are found again in every round (Lange, Little and Taylor 1989).
+        // Student's t as weights computed anew in every round (Lange, Little and Taylor 1989).
         for r in (0..rows).filter(|r| now.expected[*r].heavy) {
             let weight = 1.0 / (1.0 + z[r] * z[r] / HEAVY_DOF);
             z[r] *= weight.sqrt();
             slopes[r * n..][..n].iter_mut().for_each(|s| *s *= weight.sqrt());
         }
-        // All light together: of a set's own observables that is the slope with its own factor.
+        // All light together: for the observables of a set this is the slope with their own factor.
         let all_light = free.place(Common::Light).unwrap_or(0);
         let by_light: Vec<f64> = (0..rows).map(|r| slopes[r * n + all_light]).collect();
         let level = |o: &&Observable| o.set.and_then(|s| layout.all.campaign.sets[s].light);
@@ -146,7 +149,8 @@ impl<'a> System<'a> {
         system
     }
 
-    /// Turns what sees the light of a set whose setting scatters into deviations among themselves and one row for their common one.
+    /// Splits the observables that see the light of a set whose setting scatters into deviations among
+    /// themselves and one row for the common deviation.
     fn gather(&mut self, now: &State, known: &Slopes) {
         for b in 0..self.layout.blocks.len() {
             if let Some(block) = self.block(b, now) {
@@ -158,7 +162,7 @@ impl<'a> System<'a> {
         self.share_out();
     }
 
-    /// Computes how much each setting tells of their scatter: what is left of it once the open light of its
+    /// Computes the information of each setting on their scatter: the part left once the open light of its
     /// level is fitted (restricted likelihood: Patterson and Thompson 1971, Biometrika 58). The only setting
     /// of an open light tells nothing.
     fn share_out(&mut self) {
@@ -179,7 +183,7 @@ impl<'a> System<'a> {
         }
     }
 
-    /// What sees the light of a set together; `None` where its setting does not scatter.
+    /// Builds the block of observables that see the light of a set; `None` if its setting does not scatter.
     fn block(&self, b: usize, now: &State) -> Option<Block> {
         let rows = self.layout.blocks[b].1.clone();
         let loads: Vec<f64> = rows.iter().map(|r| self.by_light[*r]).collect();
@@ -188,13 +192,14 @@ impl<'a> System<'a> {
         if now.setting[b] <= 0.0 || weight <= 0.0 || !has_level {
             return None;
         }
-        // The setting's scatter is a variance of the mean in DN^2: over the square of what the light moves the mean by.
+        // Setting scatter: a variance of the mean in DN^2, over the squared slope of the mean with the light.
         let unit = (loads[0] * now.expected[rows[0]].normal.2).powi(2);
         let variance = now.setting[b] / unit + 1.0 / weight;
         Some(Block { rows, setting: self.layout.blocks[b].0, loads, weight, unit, variance, told: 1.0 })
     }
 
-    /// Puts a block's common deviation into a row of its own. `scatter`: slopes of the logarithm of its error.
+    /// Moves a block's common deviation into a row of its own. `scatter`: slopes of the logarithm of its
+    /// error.
     fn add(&mut self, block: Block, scatter: Vec<f64>) {
         let (n, root) = (self.n, block.variance.sqrt());
         let common = block.take_common(&mut self.z);
@@ -212,7 +217,7 @@ impl<'a> System<'a> {
         self.blocks.push(block);
     }
 
-    /// Half the gradient and the normal matrix.
+    /// Computes half the gradient and the normal matrix.
     pub fn normal(&self) -> Normal {
         let n = self.n;
         let mut out = Normal {
@@ -223,7 +228,7 @@ impl<'a> System<'a> {
             lights: vec![LightTerm { square: 0.0, gradient: 0.0, with: vec![0.0; n] }; self.lights],
         };
         pulp::Arch::new().dispatch(Products { system: self, out: &mut out });
-        // Fisher's scoring (Rao 1973, section 5g): a scatter that is fitted is told by the squares of the residuals that have it.
+        // Fisher's scoring (Rao 1973, section 5g): the squared residuals of its rows tell a fitted scatter.
         for (r, slopes) in &self.scatter {
             let (square, expected) = ((self.z[*r] * self.z[*r]).min(LARGE), self.expected_square[*r]);
             for i in (0..n).filter(|i| slopes[*i] != 0.0) {
@@ -250,7 +255,7 @@ impl<'a> System<'a> {
     fn add_row(&self, out: &mut Normal, r: usize) {
         let (n, z) = (self.n, self.z[r]);
         let row = &self.slopes[r * n..][..n];
-        // Loops and no closures: those are not sure to be inlined into the vector units' code.
+        // Loops instead of closures: closures may not be inlined into the vectorised code.
         for (i, by) in row.iter().enumerate() {
             if *by == 0.0 {
                 continue;
@@ -272,20 +277,21 @@ impl<'a> System<'a> {
         }
     }
 
-    /// Whether a value is a scatter and moves no expectation.
+    /// Returns true if a value is a scatter and moves no expectation.
     fn is_scatter(&self, i: usize) -> bool {
         let moves = || self.slopes.iter().skip(i).step_by(self.n).any(|s| *s != 0.0);
         self.scatter.iter().any(|(_, slopes)| slopes[i] != 0.0) && !moves()
     }
 
-    /// By what every value that is a scatter is to be multiplied, the residuals given: so that their squares are what is expected of them.
-    /// A joint step with what moves expectations overshoots, since each changes what the other sees.
+    /// Computes the factor of every fitted scatter that makes squared residuals equal their expectation, for
+    /// the given residuals. A joint step with values that move expectations overshoots, since each changes
+    /// what the other sees.
     pub fn scatter_factors(&self) -> Vec<(usize, f64)> {
         let all = (0..self.n).filter(|i| self.is_scatter(*i));
         all.map(|i| (i, self.factor_of_rows(i).unwrap_or_else(|| self.factor_of_settings()))).collect()
     }
 
-    /// The factor of a scatter that rows of observables have; `None` of that of settings.
+    /// Computes the factor of a scatter of observables; `None` for the scatter of settings.
     fn factor_of_rows(&self, i: usize) -> Option<f64> {
         let (mut square, mut expected) = (0.0, 0.0);
         for (r, _) in self.scatter.iter().filter(|(_, slopes)| slopes[i] != 0.0) {
@@ -298,7 +304,7 @@ impl<'a> System<'a> {
         Some((square / f64::max(expected, 1e-9)).sqrt().clamp(0.3, 3.0))
     }
 
-    /// The factor of the scatter of settings: of their own variance beside what the frames have.
+    /// Computes the factor of the scatter of settings: of their own variance, without that of the frames.
     fn factor_of_settings(&self) -> f64 {
         let of = |(b, z): (&Block, &f64)| {
             (z * z * b.variance, b.variance - 1.0 / b.weight, 1.0 / b.weight, b.told)
@@ -310,7 +316,7 @@ impl<'a> System<'a> {
         let excess =
             |f: f64| parts.iter().map(|(e, own, frames, told)| e / (f * own + frames) - told).sum::<f64>();
         if excess(1e-8) <= 0.0 {
-            // Beside what the frames have it is nothing already.
+            // The scatter is already negligible beside that of the frames.
             let is_nothing = parts.iter().all(|(_, own, frames, _)| *own < NO_SETTING * frames);
             return if is_nothing { 1.0 } else { 1e-4 };
         }
@@ -322,7 +328,8 @@ impl<'a> System<'a> {
         low.sqrt().clamp(0.05, 20.0)
     }
 
-    /// Twice the negative logarithm of the likelihood at another place, with the errors of this one, but for scatter that is fitted.
+    /// Computes minus twice the log likelihood at another point, with the errors of this one except for
+    /// fitted scatters.
     pub fn objective(&self, here: &State, there: &State, lights: &[f64]) -> f64 {
         let mut z: Vec<f64> = here
             .expected
@@ -342,7 +349,7 @@ impl<'a> System<'a> {
         sum + z.iter().map(|z| z * z).sum::<f64>() + self.of_priors(lights)
     }
 
-    /// By how much a step would lessen the sum of squares if expectations followed their slopes.
+    /// Predicts the drop in the sum of squares for a step, if expectations followed their slopes.
     pub fn promised(&self, step: &[f64], lights: &[f64]) -> f64 {
         let of = |(r, z): (usize, &f64)| {
             let row = &self.slopes[r * self.n..][..self.n];
@@ -353,7 +360,7 @@ impl<'a> System<'a> {
         self.z.iter().enumerate().map(of).sum()
     }
 
-    /// Makes slopes say of a step what it did.
+    /// Updates slopes so that they reproduce a step.
     pub fn follow(
         &self,
         slopes: &mut Slopes,
@@ -373,8 +380,8 @@ impl<'a> System<'a> {
         self.priors.iter().map(|(k, _, weight)| weight * lights[*k] * lights[*k]).sum()
     }
 
-    /// Takes the common deviation off what sees the light of one set, and returns its minus twice log
-    /// restricted likelihood.
+    /// Subtracts the common deviation of each block from its rows, and returns minus twice the log restricted
+    /// likelihood of the settings.
     fn of_blocks(&self, z: &mut [f64], there: &State, whole: bool) -> f64 {
         let mut sum = 0.0;
         let (mut with, mut without) = (vec![0.0; self.lights], vec![0.0; self.lights]);
@@ -392,13 +399,13 @@ impl<'a> System<'a> {
                 without[k] += block.weight;
             }
         }
-        // The information on each open light, with the scatter of settings and without it.
+        // Information on each open light, with and without the scatter of settings.
         let parts = self.known_light.iter().zip(with.iter().zip(&without));
         let open = parts.filter(|(_, (_, without))| **without > 0.0);
         sum + open.map(|(known, (with, without))| ((known + with) / (known + without)).ln()).sum::<f64>()
     }
 
-    /// Twice the negative logarithm of the likelihood at this place.
+    /// Computes minus twice the log likelihood at this point.
     pub fn likelihood(&self, here: &State, lights: &[f64]) -> f64 {
         let mut z: Vec<f64> = here.expected.iter().map(Expected::z).collect();
         self.white.apply(&mut z, 1);
@@ -410,24 +417,24 @@ impl<'a> System<'a> {
         if sum.is_nan() { f64::INFINITY } else { sum }
     }
 
-    /// Deviations of the settings of sets, each over what it is expected to scatter by; by set. The only set
-    /// at an open light tells nothing.
+    /// Returns the standardised deviations of the settings, by set. The only set at an open light tells
+    /// nothing.
     pub fn setting_scores(&self) -> Vec<(usize, f64)> {
-        /// Part of a degree of freedom below which a setting tells nothing (a named choice).
+        /// Minimum part of a degree of freedom for a setting to tell anything (a named choice).
         const MIN_TOLD: f64 = 0.05;
         let blocks = self.blocks.iter().zip(&self.z[self.layout.rows.len()..]);
         let told = blocks.filter(|(block, _)| block.told > MIN_TOLD);
         told.filter_map(|(block, z)| Some((self.layout.rows[block.rows[0]].set?, *z))).collect()
     }
 
-    /// What the frames tell of the light of sets whose setting scatters: its deviation, and the error that this leaves, in units of the
-    /// light; by setting.
+    /// Estimates the settings that scatter from the frames: deviation and its remaining variance, in units of
+    /// the light and of its square; by setting.
     pub fn settings(&self) -> Vec<(usize, f64, f64)> {
         let first = self.layout.rows.len();
         let of = |(k, block): (usize, &Block)| {
             let own = block.variance - 1.0 / block.weight;
             let common = self.z[first + k] * block.variance.sqrt();
-            // Between what the frames say and a setting that is as nominal.
+            // Posterior of the setting, between the frames' estimate and the nominal setting.
             (block.setting, common * own / block.variance, own / block.variance / block.weight)
         };
         self.blocks.iter().enumerate().map(of).collect()

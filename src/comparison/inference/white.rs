@@ -1,33 +1,35 @@
-//! Residuals of the same frames whose errors have a part in common, made independent.
+//! Whitening of residuals of the same frames whose errors have a part in common.
 //!
-//! Under a light that ripples a few frames show too much or too little of the ripple, and twenty statistics of these frames show the same; so
-//! it is with a line, which has one phase a frame.
-//! With b_i the share of the error of number i that is common, the correlation matrix is D + b b', D = diag(1 - b_i^2). With a = D^(-1/2) b
-//! the matrix (I - k a a') D^(-1/2), k = (1 - (1 + |a|^2)^(-1/2)) / |a|^2, makes such numbers independent with variance 1 (by the square root
-//! of I + a a', whose eigenvectors are a and all that is orthogonal to it).
+//! Under a light that ripples, a few frames show too much or too little of the ripple, and twenty statistics
+//! of these frames show it together. A line, which has one phase a frame, does the same.
+//!
+//! Let b_i be the share of the error of residual i that is common. The correlation matrix is D + b b', D =
+//! diag(1 - b_i^2). With a = D^(-1/2) b, the matrix (I - k a a') D^(-1/2), k = (1 - (1 + |a|^2)^(-1/2)) /
+//! |a|^2, makes the residuals independent with variance 1 (by the square root of I + a a', whose eigenvectors
+//! are a and all vectors orthogonal to it).
 
 use super::layout::Layout;
 use crate::observables::Expected;
 
-/// Of each error at least this share of its square is its own: how exactly statistics move together is predicted to some per cent.
+/// Minimum share of each squared error that is its own: common errors are predicted only to some per cent.
 const OWN: f64 = 0.05;
 
-/// The transformation at one place of a fit.
+/// Whitening transformation at one point of a fit.
 pub struct White(Vec<Group>);
 
-/// Numbers of the same frames.
+/// Residuals of the same frames.
 struct Group {
     rows: Vec<usize>,
-    /// a of each.
+    /// Value of a for each residual.
     loads: Vec<f64>,
-    /// One over the root of D of each.
+    /// One over the root of D for each residual.
     own: Vec<f64>,
     k: f64,
     log_det: f64,
 }
 
 impl Group {
-    /// For the share of each error that is common.
+    /// Builds a group from the share of each error that is common.
     fn new(rows: Vec<usize>, shares: &[f64]) -> Self {
         let kept: Vec<f64> = shares.iter().map(|b| 1.0 - b * b).collect();
         let loads: Vec<f64> = shares.iter().zip(&kept).map(|(b, d)| b / d.sqrt()).collect();
@@ -40,7 +42,7 @@ impl Group {
 }
 
 impl White {
-    /// For expectations; `wider`: by how much errors are wider than these.
+    /// Builds the transformation for expectations; `wider`: ratio of each error to that of its expectation.
     pub fn new(layout: &Layout<'_>, expected: &[Expected], wider: impl Fn(usize) -> f64) -> Self {
         if expected.iter().all(|e| e.common == 0.0) {
             return Self(Vec::new());
@@ -56,7 +58,7 @@ impl White {
         Self(layout.chunks.iter().filter_map(group).collect())
     }
 
-    /// Transforms numbers in rows of n.
+    /// Whitens values in rows of n.
     pub fn apply(&self, values: &mut [f64], n: usize) {
         let mut common = vec![0.0; n];
         for g in &self.0 {
@@ -74,7 +76,7 @@ impl White {
         }
     }
 
-    /// Logarithm of the determinant of the correlations.
+    /// Returns the log determinant of the correlation matrix.
     pub fn log_det(&self) -> f64 {
         self.0.iter().map(|g| g.log_det).sum()
     }
@@ -89,7 +91,8 @@ mod tests {
         White(vec![Group::new((0..shares.len()).collect(), shares)])
     }
 
-    /// Numbers with a part in common, of both signs: after it their covariances are those of independent ones within five standard errors.
+    /// Residuals with a common part of both signs: after whitening, their covariances are those of
+    /// independent numbers within five standard errors.
     #[test]
     fn common_errors_are_taken_apart() {
         let shares = [0.9, -0.7, 0.3, 0.0, 0.97];
@@ -110,7 +113,7 @@ mod tests {
         }
     }
 
-    /// Of two numbers the determinant is 1 less the square of their correlation.
+    /// The determinant for two numbers is 1 minus their squared correlation.
     #[test]
     fn the_determinant_is_that_of_the_correlations() {
         let (a, b) = (0.8, -0.6);

@@ -1,4 +1,4 @@
-//! Exposures before the sets of a campaign that are not in the files, by what first frames carry of them.
+//! Exposures before the sets of a campaign that are not in the files, from the carry-over in first frames.
 
 use super::{Observable, Statistic, frame_scatter, mean, settling, successive, variance};
 use crate::dataset::{FrameRow, Kind};
@@ -7,33 +7,34 @@ use crate::statistics::median::median;
 use radcam_sim::predict::{Before, SetInfo};
 use std::collections::BTreeMap;
 
-/// Standard errors from which on frames carry something, relative difference up to which two shares of it are
-/// one, ratio of squares from which on one explanation is far better than another, and fewest first frames that
-/// tell (named choices).
+/// Thresholds (named choices): significance of a carry-over in standard errors, relative difference up to
+/// which two shares of it are equal, ratio of squares below which one explanation is far better than another,
+/// and minimum number of first frames.
 const CARRIES: f64 = 5.0;
 const MAX_REL: f64 = 0.3;
 const FAR_BETTER: f64 = 0.25;
 const MIN_FIRSTS: usize = 4;
-/// Largest number of frames that people discard at each setting before they save any (a named choice).
+/// Maximum number of frames that people discard at each setting before they save any (a named choice).
 const MOST_DISCARDED: u8 = 3;
-/// Largest share by which they are counted: a mean of the last two frames shows a half, and forgets.
+/// Maximum share by which discarded frames are counted: a mean of the last two frames shows a half, and
+/// forgets.
 const MAX_SHARE: f64 = 0.45;
 
-/// Part of a small correlation of successive frames that n frames show about their mean, with their variance over
-/// n added (its bias to first order: Marriott and Pope 1954, Biometrika 41, 390).
+/// Returns the part of a small correlation of successive frames that n frames show about their mean, with
+/// their variance over n added (its bias to first order: Marriott and Pope 1954, Biometrika 41, 390).
 fn kept_by_few(n: f64) -> f64 {
     1.0 - 2.0 / n - 4.0 / (n * n) + 2.0 / (n * (n - 1.0))
 }
 
-/// Covariance of successive frames over their variance, as n frames show both about their mean, where each has
-/// this share of the one before, of which again a share (an autoregression of the first order: Box and Jenkins
-/// 1976, 3.2.3).
+/// Returns the covariance of successive frames over their variance, both about the mean of n frames, if each
+/// frame has this share of the one before, which in turn has a share of its own (an autoregression of the
+/// first order: Box and Jenkins 1976, 3.2.3).
 fn shown_of(share: f64, n: usize) -> f64 {
     let frames = CorrelatedFrames::new(n, |apart| share.powi(apart as i32));
     frames.product() / frames.left() + 1.0 / n as f64
 }
 
-/// Share that shows like that; a small one by its slope at 0.
+/// Returns the share that shows this value; a small one by its slope at 0.
 fn share_of(shown: f64, n: usize) -> f64 {
     let (mut low, mut high) = (0.0, 0.99);
     if n < 3 || shown <= 0.0 {
@@ -48,20 +49,20 @@ fn share_of(shown: f64, n: usize) -> f64 {
 
 /// First frame of a set.
 struct First {
-    /// Its mean less that of those after it, DN.
+    /// Mean of the frame minus that of those after it, DN.
     step_dn: f64,
-    /// Variance of it, DN^2.
+    /// Variance of that mean, DN^2.
     var_dn2: f64,
-    /// Levels of its set and of the one before, DN.
+    /// Levels of the set and of the one before, DN.
     level_dn: f64,
     before_dn: f64,
 }
 
-/// Exposures before the sets, by their first frames. Where successive frames carry something from one to the
-/// next and first frames nothing from the set before, they follow frames of their own level that are not in
-/// the dataset. Where these lack a share of their own level, and the noise does not contradict it, they
-/// follow darkness; where they have a power of that share, a few frames of their own level were discarded. With
-/// it the correlation of successive frames, where it is something.
+/// Finds the exposures before the sets from their first frames, and the correlation of successive frames if
+/// it is significant. If successive frames carry something and first frames carry nothing of the set before,
+/// the first frames follow frames of their own level that are not in the dataset. If first frames lack a
+/// share of their own level, and the noise does not contradict it, they follow darkness. If they carry a
+/// power of the share of successive frames, a few frames of their own level were discarded.
 pub(super) fn of(
     list: &[Observable],
     sets: &[SetInfo],
@@ -75,7 +76,7 @@ pub(super) fn of(
             levels[set] = Some(o.measured.value);
         }
     }
-    // Covariance over variance, weighed by its error, for each number of frames.
+    // Covariance over variance, weighted by its error, for each number of frames.
     let mut within: BTreeMap<usize, (f64, f64)> = BTreeMap::new();
     for (i, o) in list.iter().enumerate() {
         let Some(set) = set_of(o, &successive::Successive).filter(|s| settings[*s].kind == Kind::Flat) else {
@@ -106,7 +107,7 @@ pub(super) fn of(
     };
     let firsts: Vec<First> = list.iter().filter_map(first).collect();
     let sum = |of: &dyn Fn(&First) -> f64| firsts.iter().map(|f| of(f) / f.var_dn2).sum::<f64>();
-    // Share of a change of level that first frames carry, its error, and the squares that it leaves.
+    // Share of a change of level carried by first frames, its error, and the sum of squares left by it.
     let carried = |change: &dyn Fn(&First) -> f64| {
         let squares = sum(&|f| change(f).powi(2));
         let own = sum(&|f| change(f) * f.step_dn) / squares;
@@ -119,7 +120,8 @@ pub(super) fn of(
     tracing::debug!(
         "successive frames share {share:.5} +- {error:.5}, first frames have {of_set:.6} +- {uncertain:.6} of the set before and {of_dark:.6} +- {uncertain_dark:.6} of darkness"
     );
-    // A share of a share after each frame of its own level: what is left says how many there were.
+    // Each frame of its own level multiplies the carry-over by the share: what is left gives the number of
+    // frames.
     let discarded = || {
         let off = |n: u8| (of_set.ln() - f64::from(n + 1) * share.ln()).abs();
         let sure = |n: u8| MAX_REL.max(3.0 * f64::from(n + 1) * error / share);
@@ -141,7 +143,7 @@ pub(super) fn of(
     (before, Some(share).filter(|s| *s > CARRIES * error))
 }
 
-/// Note for the reader; `None` where each set follows the one before it.
+/// Returns a note for the reader; `None` if each set follows the one before it.
 pub(super) fn note(before: Before) -> Option<String> {
     let note = match before {
         Before::Frame => return None,
@@ -169,7 +171,7 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// The exact form has the slope of the one to first order, and its inverse gives the share back.
+    /// The exact form has the slope of the first-order one, and its inverse gives the share back.
     #[test]
     fn few_frames_show_a_share_as_stated() {
         for n in [3usize, 4, 6, 8, 16] {
@@ -182,8 +184,8 @@ mod tests {
         }
     }
 
-    /// Covariance of successive numbers of which each hands on 5 % to the next, over 400 000 runs of a few:
-    /// within five standard errors.
+    /// Covariance of successive numbers, each of which carries over 5 % to the next, for 400 000 short runs;
+    /// tolerance five standard errors.
     #[test]
     fn few_frames_keep_a_part_of_their_correlation() {
         const RUNS: u32 = 400_000;

@@ -1,4 +1,4 @@
-//! A campaign of frames as observables.
+//! Observables of a campaign of frames.
 
 use super::observations::{Identity, Observations, Setting};
 use super::read::{Chunk, Reading, read};
@@ -20,9 +20,9 @@ use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{Before, Campaign, FrameInfo, NORMAL, Ordinary, SetInfo};
 use std::sync::atomic::AtomicBool;
 
-/// Spatial variance of the dark charge of every set, DN^2; 0 for flats.
+/// Returns the spatial variance of the dark charge of every set, DN^2; 0 for flats.
 pub fn dark_spreads(sets: &[SetInfo], kinds: &[Kind]) -> Vec<f64> {
-    // Darks that are not looked at have no spread.
+    // Darks that are left out have no spread.
     let darks = || sets.iter().zip(kinds).filter(|(s, kind)| **kind == Kind::Dark && s.spread_dn > 0.0);
     let shortest = darks().min_by(|a, b| a.0.exposure_s.total_cmp(&b.0.exposure_s));
     let offset = shortest.map_or(0.0, |(s, _)| s.spread_dn);
@@ -32,17 +32,17 @@ pub fn dark_spreads(sets: &[SetInfo], kinds: &[Kind]) -> Vec<f64> {
     sets.iter().zip(kinds).map(of).collect()
 }
 
-/// Why there are no observables.
+/// Reasons for having no observables.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ObserveError {
-    /// The dataset.
+    /// Error of the dataset.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// Nothing to look at.
+    /// The dataset has nothing to observe.
     #[error("{0}")]
     Nothing(String),
-    /// The user asked for the end.
+    /// The user interrupted the reading.
     #[error("interrupted")]
     Interrupted,
 }
@@ -56,7 +56,7 @@ impl From<ExamineError> for ObserveError {
     }
 }
 
-/// Sets and frames in the order of time, the light levels told apart.
+/// Returns the sets and frames in the order of time, with the light levels told apart.
 fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<FrameInfo>) {
     // Photons that a descriptor states are nominal: one light, in the ratios stated, as accurate as the data
     // show it to be.
@@ -69,13 +69,13 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
         if kind == Kind::Dark || illumination == 0.0 {
             return None;
         }
-        // A scene has a mean of its own: a light level for itself.
+        // A scene has a mean of its own, and so a light level of its own.
         let key = match kind {
             Kind::Flat if nominal => 0,
             Kind::Flat => illumination.to_bits(),
             _ => u64::MAX - scene as u64,
         };
-        // Nobody knows that two campaigns had the same light.
+        // Two campaigns are not known to have the same light.
         let key = (dataset.part_of(dataset.sets()[scene].rows[0]).0, key);
         let at = levels.iter().position(|l| *l == key).unwrap_or_else(|| {
             levels.push(key);
@@ -115,7 +115,7 @@ fn campaign(dataset: &Dataset, settings: &[FrameRow]) -> (Vec<SetInfo>, Vec<Fram
 ///
 /// # Errors
 ///
-/// Where there is nothing to look at, which frame cannot be read, or that it was stopped.
+/// There is nothing to observe, a frame cannot be read, or the reading was stopped.
 pub fn of_dataset(
     dataset: &Dataset,
     stop: &AtomicBool,
@@ -142,7 +142,7 @@ pub fn of_dataset(
         mut saturated,
         left_out,
     } = read(dataset, stop, progress)?;
-    // Sets that were left out were exposed nonetheless: those after them may carry their charge.
+    // Sets that were left out were exposed nonetheless: later sets may carry their charge.
     let (dataset, passed_over) = &dataset.timeline();
     let sets = dataset.sets();
     let passed = |i: usize| passed_over.iter().find(|p| p.set == sets[i].number);
@@ -154,7 +154,7 @@ pub fn of_dataset(
         if let Some(p) = passed(i).filter(|p| !p.as_stated) {
             let lit = p.last_dn - zero_dn > LEAST_LIT_DN;
             s.kind = if lit { Kind::Flat } else { Kind::Dark };
-            // A set that was stated dark has no light.
+            // A set stated as dark has no illumination; it gets 1.
             s.illumination = if s.illumination > 0.0 { s.illumination } else { 1.0 };
         }
     }
@@ -187,7 +187,7 @@ pub fn of_dataset(
         missing.push("slips leave out all flats: the verdict is on the darks alone".into());
     }
     spreads(&mut infos, &chunks, &settings, zero_dn);
-    // A level at which the range has ended, or that is not as stated, has a light of its own.
+    // A level beyond the end of the range, or not as stated, has a light of its own.
     let is_seen = |light: Option<usize>| places.iter().any(|i| infos[*i].light == light);
     let of_their_own: Vec<usize> = (0..sets.len())
         .filter(|i| passed(*i).is_some_and(|p| !p.as_stated || !is_seen(infos[*i].light)))
@@ -209,10 +209,10 @@ pub fn of_dataset(
         sets.iter().for_each(|s| frames[s.rows[0]].before = before_sets);
     }
     missing.extend(before_sets::note(before_sets));
-    // The level of a scene or a clipped set matters for the frame that follows it: known beforehand, and
-    // judged in neither half.
+    // The level of a scene or a clipped set matters for the next frame: it is known beforehand, and judged in
+    // neither half.
     let levels = scenes.iter().map(|s| (s.set, codes::mean_of(&s.mean_dn, &layout), s.frames));
-    // Dark charge has no light of its own that would make the level what it is.
+    // Dark charge has no light of its own that could set the level.
     let flats = saturated.iter().filter(|s| settings[s.set].kind != Kind::Dark);
     let levels = levels.chain(flats.map(|s| (s.set, s.level_dn, s.frames)));
     let last = |i: &usize| {
@@ -335,7 +335,7 @@ pub fn of_dataset(
         stretch,
         alike: alike(&chunks, &settings),
         field: field(&chunks, &settings, zero_dn),
-        // Of flats: what a dark shows beside its charge is the offsets' pattern, which stays.
+        // Flats only: the pattern of a dark beside its charge is that of the offsets, which does not move.
         largest_spread: infos
             .iter()
             .zip(&kinds)
@@ -388,11 +388,11 @@ pub fn of_dataset(
     Ok(all)
 }
 
-/// Level above that of the darks from which on a set that is left out has light, DN (a named choice): less
-/// leaves nothing in the frames that follow.
+/// Minimum level above the darks for a set that is left out to count as lit, DN (a named choice): less leaves
+/// nothing in the frames that follow.
 const LEAST_LIT_DN: f64 = 5.0;
 
-/// Number of chunks at the level of every set.
+/// Returns the number of chunks at the level of every set.
 fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {
     let darks = chunks.iter().filter(|c| settings[c.set].kind == Kind::Dark).count();
     let of = |(i, s): (usize, &FrameRow)| match s.kind {
@@ -402,7 +402,7 @@ fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {
     settings.iter().enumerate().map(of).collect()
 }
 
-/// For every set the first of those that follow one another under the same light, darks in between left out.
+/// Returns, for every set, the first of the consecutive sets under the same light, ignoring darks in between.
 fn light_settings(sets: &[SetInfo], is_kept: impl Fn(usize) -> bool) -> Vec<usize> {
     let mut last: Option<(usize, (usize, u64))> = None;
     let of = |(i, s): (usize, &SetInfo)| {
@@ -417,10 +417,11 @@ fn light_settings(sets: &[SetInfo], is_kept: impl Fn(usize) -> bool) -> Vec<usiz
 
 /// Largest scatter of a light that is stated in photons without an error: as much as lamps have.
 const UNSTATED: f64 = 0.1;
-/// Light levels from which on their scatter tells something.
+/// Minimum number of light levels whose scatter is meaningful.
 const FEWEST_LIGHTS: usize = 3;
 
-/// Scatter of the light between settings that is no finding: the stated scatter where the light was set anew.
+/// Returns the scatter of the light between settings that is no finding: the stated scatter, if the light was
+/// set anew.
 fn setting(dataset: &Dataset, settings: &[FrameRow], stated: Option<f64>) -> Option<Setting> {
     let mut lights: Vec<u64> = settings
         .iter()
@@ -430,7 +431,7 @@ fn setting(dataset: &Dataset, settings: &[FrameRow], stated: Option<f64>) -> Opt
     let flats = lights.len();
     lights.sort_unstable();
     lights.dedup();
-    // Two lights in turn are set anew as often as one follows the other.
+    // Two lights in turn are set anew at each change.
     if lights.len() < 2 || flats < FEWEST_LIGHTS {
         return None;
     }
@@ -442,7 +443,7 @@ fn setting(dataset: &Dataset, settings: &[FrameRow], stated: Option<f64>) -> Opt
     }
 }
 
-/// Where the pixels' levels lie in every set.
+/// Fills in the distribution of pixel levels in every set.
 fn spreads(infos: &mut [SetInfo], chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) {
     for c in chunks {
         let above = c.summary.frame_means.mean_dn() - zero_dn;
@@ -451,8 +452,8 @@ fn spreads(infos: &mut [SetInfo], chunks: &[Chunk], settings: &[FrameRow], zero_
         infos[c.set].places = c.summary.places;
         infos[c.set].spread = if above > 5.0 { (spread_dn / above).min(0.3) } else { 0.0 };
     }
-    // Flats have one pattern of light and response. Where the range ended an image has lost it: what others
-    // show holds before that. Dim ones have more of the offsets' pattern.
+    // Flats have one pattern of light and response. An image beyond the end of the range has lost it, and the
+    // pattern of other flats holds below that. Dim flats have more of the offsets' pattern.
     let above = |c: &Chunk| c.summary.frame_means.mean_dn() - zero_dn;
     let top = chunks.iter().map(above).fold(0.0, f64::max);
     let bright: Vec<usize> = chunks
@@ -470,7 +471,7 @@ fn spreads(infos: &mut [SetInfo], chunks: &[Chunk], settings: &[FrameRow], zero_
     }
 }
 
-/// What each statistic says of the chunks.
+/// Returns the values of every statistic for the chunks.
 fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
     let mut list = Vec::new();
     let inflation = Inflation::of(chunks);
@@ -501,13 +502,13 @@ fn of_chunks(chunks: &[Chunk], sets: &[Set]) -> Vec<Observable> {
 /// Maximum number of sets listed by number in a note.
 const LISTED: usize = 8;
 
-/// True where rounding hides the noise of a chunk: see [`QUIET_DN2`].
+/// Returns true if rounding hides the noise of a chunk: see [`QUIET_DN2`].
 pub(super) fn is_quiet(summary: &Summary) -> bool {
     summary.var.value < QUIET_DN2
 }
 
-/// Time from the end of an exposure to the next where frames carry no times, s: readout, saving and pauses (a named
-/// choice). Short exposures then follow one another evenly, as cameras at a fixed rate take them.
+/// Time from the end of an exposure to the next if frames carry no times, s: readout, saving and pauses (a
+/// named choice). Short exposures then follow one another evenly, as cameras at a fixed rate take them.
 const BETWEEN_FRAMES_S: f64 = 1.0;
 
 /// Limit of campaigns whose frames carry no times.
@@ -518,7 +519,7 @@ pub(crate) const NO_TIMES: &str = "the frames carry no times: each is taken to f
 pub(crate) const NO_PATCH: &str =
     "no scene with a bright patch at two exposures: smear cannot be told from an exposure offset";
 
-/// What a campaign without some sets, or of few pixels, leaves open.
+/// Returns notes on what a campaign without some sets, or of few pixels, leaves open.
 fn cannot_be_told(shape: (usize, usize), patch: bool, settings: &[FrameRow]) -> Vec<String> {
     let mut missing = Vec::new();
     if shape.0.min(shape.1) < 64 {
@@ -539,7 +540,7 @@ fn cannot_be_told(shape: (usize, usize), patch: bool, settings: &[FrameRow]) -> 
     missing
 }
 
-/// Part of the pixels' spread that changes from set to set, by slow telegraph noise or warming (a named
+/// Part of the spread of the pixels that changes from set to set, by slow telegraph noise or warming (a named
 /// choice).
 const CHANGED: f64 = 0.2;
 
@@ -550,16 +551,17 @@ impl Inflation {
                 chunks.iter().map(|c| ratio(&c.summary)).filter(|x| x.is_finite() && *x > 0.0).collect();
             let mean = (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt();
             let middle = median(all.iter().copied());
-            // The median, unless a few levels truly scatter more.
+            // The median is used, unless a few levels truly scatter more.
             if middle.is_finite() && mean.is_finite() {
                 middle.max(0.9 * mean.min(1.2 * middle))
             } else {
                 1.0
             }
         };
-        // Jackknife variance of a mean over N pixels of sample variances with d degrees of freedom: (u + (1 +
-        // u) 2 / d) / N of its square (law of total variance), u the relative variance of the pixels' true
-        // variances. The first part is the same in every set but for [`CHANGED`]; only the second is chance.
+        // The jackknife variance of a mean over N pixels of sample variances with d degrees of freedom is
+        // (u + (1 + u) 2 / d) / N of its square (law of total variance), u the relative variance of the
+        // pixels' true variances. The first part is the same in every set but for [`CHANGED`]; only the
+        // second is chance.
         let of_variance = |r: &Summary| {
             let spread = r.unequal.value.max(0.0);
             let same = (1.0 - CHANGED * CHANGED) * spread * r.var.value * r.var.value / r.pixels;
@@ -576,7 +578,7 @@ impl Inflation {
     }
 }
 
-/// Frame means of every set in order of time, DN.
+/// Returns the frame means of every set in order of time, DN.
 fn frame_means(chunks: &[Chunk], sets: usize) -> Vec<Vec<f64>> {
     let mut in_order: Vec<&Chunk> = chunks.iter().collect();
     in_order.sort_by_key(|c| c.from);
@@ -585,7 +587,8 @@ fn frame_means(chunks: &[Chunk], sets: usize) -> Vec<Vec<f64>> {
     out
 }
 
-/// Noise of the ordinary pixels, at the median level of the darks; `None` where too few frames show it.
+/// Returns the noise of the ordinary pixels at the median level of the darks; `None` if too few frames show
+/// it.
 fn ordinary(pixels: &PixelNoise, chunks: &[Chunk], infos: &[SetInfo], kinds: &[Kind]) -> Option<Ordinary> {
     let darks = || chunks.iter().filter(|c| kinds[c.set] == Kind::Dark);
     let level_dn = median(darks().map(|c| c.summary.frame_means.mean_dn()));
@@ -595,7 +598,7 @@ fn ordinary(pixels: &PixelNoise, chunks: &[Chunk], infos: &[SetInfo], kinds: &[K
     known.then(|| Ordinary::of_darks(median_dn2, pixels.log_spread, level_dn, spread_dn))
 }
 
-/// The position of card and light that most flats have; the first of several.
+/// Returns the position of card and light that most flats have; the first of several.
 fn main_field(settings: &[FrameRow]) -> Option<u32> {
     let mut counts: std::collections::BTreeMap<u32, usize> = Default::default();
     for set in settings.iter().filter(|s| s.kind == Kind::Flat) {

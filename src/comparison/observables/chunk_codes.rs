@@ -1,8 +1,8 @@
-//! Share of the codes around a set's level that occur.
+//! Share of occurring codes around a set's level.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 
-/// The share.
+/// Share of occurring codes.
 #[derive(Debug)]
 pub struct ChunkCodes;
 

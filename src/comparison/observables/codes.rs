@@ -8,23 +8,24 @@ use crate::statistics::pass::Summary;
 use crate::statistics::spectrum::Power;
 use ndarray::Array2;
 
-/// Mean of the pixels that count, DN.
+/// Returns the mean of the valid pixels, DN.
 pub fn mean_of(image: &Array2<f32>, layout: &Layout) -> f64 {
     image.iter().zip(&layout.mask).map(|(v, m)| f64::from(v * m)).sum::<f64>() / layout.pixels
 }
 
-/// Low bits whose codes are looked at all together; of higher ones each transition is looked at by itself.
+/// Number of low bits, whose codes are evaluated all together. For higher bits each transition is evaluated
+/// by itself.
 pub const LOW_BITS: usize = 6;
-/// Transitions of high bits that are looked at, at most.
+/// Maximum number of transitions of high bits that are evaluated.
 const TRANSITIONS: usize = 64;
 
-/// Bands of codes in which single ones that are left out are counted: a table leaves out more of the bright ones, a multiplication as many
-/// everywhere.
+/// Bands of codes in which missing single codes are counted: a table leaves out more of the bright codes, a
+/// multiplication as many everywhere.
 const BANDS: usize = 4;
-/// Parts of the codes of which it is known how many of them were looked at.
+/// Parts of the codes for which the number of evaluated codes is stored.
 const PARTS: usize = 16 * BANDS;
 
-/// Counts around one transition, over all levels.
+/// Counts around one transition, summed over all levels.
 #[derive(Debug, Clone, Copy, Default)]
 struct Transition {
     bend: f64,
@@ -32,25 +33,26 @@ struct Transition {
     var: f64,
 }
 
-/// Counts of every code, and what each level alone says of the bits.
+/// Counts of every code, and the bit statistics of each level.
 pub struct Codes {
     counts: Vec<u64>,
-    /// For each level and bit: mean excess of the one kind of codes over the other, and its variance.
+    /// For each level and bit: mean excess of one kind of codes over the other, and its variance.
     levels: Vec<[(f64, f64); LOW_BITS]>,
-    /// Codes from one transition to the next.
+    /// Number of codes from one transition to the next.
     grain: usize,
     transitions: Vec<Transition>,
 }
 
-/// Deviation of the noise from which a level's histogram is smooth over a few codes, DN^2.
+/// Minimum noise variance of a level whose histogram is smooth over a few codes, DN^2.
 const WIDE_DN2: f64 = 36.0;
 
-/// Occupancy of bit `b` expected of a converter with these widths, as [`Codes::finish`] measures it.
+/// Returns the occupancy of bit `b` expected of a converter with these widths, as [`Codes::finish`] measures
+/// it.
 pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b: usize) -> f64 {
     let (first, second) = ((1u32 << b) - 1, (1u32 << (b + 1)) - 1);
     let relative = |residue: u32| {
         let (mut bend, mut level) = (0.0, 0.0);
-        // The first code of this kind that has one below it.
+        // First code of this kind that has one below it.
         let first = codes.start.max(1);
         let from = first + (residue.wrapping_sub(first) & second);
         for c in (from..codes.end).step_by(second as usize + 1).take(256) {
@@ -62,8 +64,8 @@ pub fn occupancy_of(widths: &dyn Fn(u32) -> f64, codes: &std::ops::Range<u32>, b
     relative(first) - relative(second)
 }
 
-/// Line of steps, which need not be whole, on which the codes of all wide levels lie. What is cut off at both
-/// ends is left out.
+/// Finds the line of steps, not necessarily whole, on which the codes of all wide levels lie. The clipped
+/// codes at both ends are left out.
 pub fn stretch(halves: &[Codes; 2]) -> Option<Stretch> {
     let sum = |(a, b): (&u64, &u64)| a + b;
     let mut counts: Vec<u64> = halves[0].counts.iter().zip(&halves[1].counts).map(sum).collect();
@@ -75,7 +77,7 @@ pub fn stretch(halves: &[Codes; 2]) -> Option<Stretch> {
 }
 
 impl Codes {
-    /// For codes up to a full scale.
+    /// Creates counters for codes up to a full scale.
     pub fn new(full: u16) -> Self {
         let codes = usize::from(full) + 1;
         let grain = (codes / TRANSITIONS).max(1 << (LOW_BITS - 1));
@@ -83,7 +85,7 @@ impl Codes {
         Self { counts: vec![0; codes], levels: Vec::new(), grain, transitions }
     }
 
-    /// Adds the codes of one level. Narrow levels say nothing: their histogram is all slope.
+    /// Adds the codes of one level. Narrow levels are ignored: their histogram is all slope.
     pub fn add(&mut self, summary: &Summary) {
         if summary.var.value < WIDE_DN2 {
             return;
@@ -121,12 +123,12 @@ impl Codes {
         self.levels.push(bits);
     }
 
-    /// The range of filled codes, and what they say.
+    /// Returns the range of filled codes and the code statistics.
     pub fn finish(self) -> CodeStatistics {
         let n = &self.counts;
         let mut out = CodeStatistics::default();
-        // A window of 16 codes holds the same number of multiples of 2, 4, 8 or 16 at every place. A window of
-        // 17 would select the filled codes.
+        // A window of 16 codes holds the same number of multiples of 2, 4, 8 or 16 at every place. A window
+        // of 17 would select the filled codes.
         let wide = |c: usize| n[c.saturating_sub(8)..(c + 8).min(n.len())].iter().sum::<u64>();
         let filled: Vec<usize> = (1..n.len().saturating_sub(1)).filter(|c| wide(*c) > 1000).collect();
         if filled.len() < 32 {
@@ -147,7 +149,7 @@ impl Codes {
                 continue;
             }
             let value = sound.iter().map(|(v, var)| v / var).sum::<f64>() / weight;
-            // Pixels stay where they are from frame to frame: levels scatter more than their counts.
+            // Pixels keep their places from frame to frame: levels scatter more than their counts.
             let chi2 = sound.iter().map(|(v, var)| (v - value).powi(2) / var).sum::<f64>()
                 / (sound.len() - 1) as f64;
             out.bits[b] = Some(Value { value, std_err: (chi2.max(1.0) / weight).sqrt().hypot(2e-4) });
@@ -160,33 +162,34 @@ impl Codes {
     }
 }
 
-/// Which codes samples fill.
+/// Codes filled by samples.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Filled {
-    /// From the lowest to the highest.
+    /// Lowest to highest filled code.
     pub range: std::ops::Range<u32>,
-    /// Of how many codes of each of [`PARTS`] equal parts of all codes the neighbours hold many samples.
+    /// Number of codes whose neighbours hold many samples, for each of [`PARTS`] equal parts of all codes.
     pub between: Vec<f64>,
 }
 
 impl Filled {
-    /// The parts that an index of [`super::gaps`] looks at, 0 all of them, others a band: middle and codes of each, as shares of all codes.
+    /// Returns the parts that belong to an index of [`super::gaps`] (0: all of them, others: a band). Each
+    /// has its middle, as a share of all codes, and its number of codes.
     pub fn parts(&self, index: usize) -> impl Iterator<Item = (f64, f64)> + '_ {
         let range = index.checked_sub(1).map_or(0..PARTS, |band| part(band, BANDS, PARTS));
         range.filter_map(|k| Some(((k as f64 + 0.5) / PARTS as f64, *self.between.get(k)?)))
     }
 
-    /// Of the codes of the range those that an index looks at, of so many.
+    /// Returns the codes of the range that belong to an index, for this total number of codes.
     pub fn range_of(&self, index: usize, codes: usize) -> std::ops::Range<u32> {
         let band = index.checked_sub(1).map_or(0..codes, |band| part(band, BANDS, codes));
         self.range.start.max(band.start as u32)..self.range.end.min(band.end as u32)
     }
 }
 
-/// What the codes of one half of a campaign say.
+/// Code statistics of one half of a campaign.
 #[derive(Debug, Clone, Default)]
 pub struct CodeStatistics {
-    /// Codes that are filled.
+    /// Filled codes.
     pub filled: Filled,
     used: Option<Value>,
     gaps: Option<Value>,
@@ -196,37 +199,40 @@ pub struct CodeStatistics {
 }
 
 impl CodeStatistics {
-    /// Share of the codes of the range that occur.
+    /// Returns the share of occurring codes in the range.
     pub fn used(&self) -> Option<Value> {
         self.used
     }
 
-    /// Share of empty codes among those whose neighbours are both filled.
+    /// Returns the share of empty codes among those whose neighbours are both filled.
     pub fn gaps(&self) -> Option<Value> {
         self.gaps
     }
 
-    /// The same in each band of codes.
+    /// Returns that share in each band of codes.
     pub fn gaps_of_bands(&self) -> impl Iterator<Item = (usize, Value)> + '_ {
         self.gaps_of_bands.iter().enumerate().filter_map(|(band, v)| Some((band, (*v)?)))
     }
 
-    /// What codes whose bit toggles next have more than those before it, relative.
+    /// Returns the relative excess of the codes just before the bit is set over those just before it is
+    /// cleared.
     pub fn bit(&self, b: usize) -> Option<Value> {
         self.bits.get(b).copied().flatten()
     }
 
-    /// The code above a transition of the high bits, with what the one below it has more than its neighbours, relative.
+    /// Returns the code above each transition of the high bits, with the relative excess of the code below it
+    /// over its neighbours.
     pub fn transitions(&self) -> impl Iterator<Item = (usize, Value)> + '_ {
         self.transitions.iter().copied()
     }
 }
 
-/// Share of the codes that occur among those with many samples on both sides, and its error; `None` where they are few.
+/// Returns the share of occurring codes among those with many samples on both sides, and its error; `None` if
+/// there are few.
 pub fn share_used(summary: &Summary) -> Option<(f64, f64)> {
     let n = &summary.occupancy.0;
     const REACH: usize = 16;
-    // Where codes of ordinary width would hold a dozen samples: none of them is missed by chance.
+    // Codes of ordinary width would hold a dozen samples there: none of them is missed by chance.
     let enough = 12 * REACH as u64;
     let mut sums = vec![0u64; n.len() + 1];
     n.iter().enumerate().for_each(|(c, n)| sums[c + 1] = sums[c] + n);
@@ -239,47 +245,51 @@ pub fn share_used(summary: &Summary) -> Option<(f64, f64)> {
     (all >= 24.0).then_some((share.value, share.std_err))
 }
 
-/// One of some equal parts of so many codes.
+/// Returns one of some equal parts of this many codes.
 fn part(k: usize, of: usize, codes: usize) -> std::ops::Range<usize> {
     k * codes / of..(k + 1) * codes / of
 }
 
-/// Codes between two that hold many samples: so many that one of at least half their width is empty once in 1e21 times.
+/// Returns the codes between two that hold many samples: so many that a code of at least half their width is
+/// empty once in 1e21 times.
 fn between(n: &[u64]) -> impl Iterator<Item = &[u64]> {
     const MANY: u64 = 100;
     n.windows(3).filter(|w| w[0] >= MANY && w[2] >= MANY)
 }
 
-/// Share of empty codes among those whose neighbours both hold many samples, with the error of half a code.
+/// Returns the share of empty codes among those whose neighbours both hold many samples, with the error of
+/// half a code.
 pub(super) fn gaps(n: &[u64]) -> Option<Value> {
     let (all, empty) =
         between(n).fold((0.0, 0.0), |(all, e), w| (all + 1.0, e + f64::from(u8::from(w[1] == 0))));
     (all >= 64.0).then(|| Value { value: empty / all, std_err: 0.5 / all })
 }
 
-/// A share of codes: of steps that are alike it is known to a code at each end; steps of a table or of unequal bits are predicted to 2 %.
+/// Returns a share of codes. For equal steps it is known to a code at each end; steps of a table or of
+/// unequal bits are predicted to 2 %.
 fn share_of(used: f64, all: f64) -> Value {
     Value { value: used / all, std_err: 0.02 * used / all + 1.0 / all }
 }
 
-/// The power spectrum of the noise in read-out order over many levels, the quiet ones weighing most: they see a line best.
+/// Power spectrum of the noise in read-out order over many levels. The quiet levels have the largest weight:
+/// they show a line best.
 pub struct LineSearch {
     length: usize,
     power: Vec<f64>,
     weight: f64,
     frames: f64,
-    /// Sum over the levels of the square of what a line's power in few frames scatters by.
+    /// Sum over the levels of the squared scatter of a line's power in few frames.
     walk: f64,
 }
 
-/// Lowest frequencies, in steps of the spectrum: slow changes are no line.
+/// Lowest frequency of a line, in steps of the spectrum: slow changes are no line.
 const SLOW: usize = 64;
-/// Steps of the spectrum on either side of a line over which the window spreads it (Hann: two, and one for a place
-/// between two).
+/// Steps of the spectrum on either side of a line over which the window spreads it (Hann: two, and one for a
+/// place between two).
 const BESIDE: usize = 3;
 
 impl LineSearch {
-    /// For frames of this shape.
+    /// Creates a search for frames of this shape.
     pub fn new(shape: (usize, usize)) -> Self {
         let length = Power::length(shape);
         Self { length, power: vec![0.0; length / 2 + 1], weight: 0.0, frames: 0.0, walk: 0.0 }
@@ -292,16 +302,17 @@ impl LineSearch {
         }
         let n = summary.frames as f64;
         let w = 1.0 / summary.var.value;
-        // The pixels' means took their share of the power with them.
+        // Subtracting the pixel means removed this share of the power.
         let up = w * n / (n - 1.0);
         self.power.iter_mut().zip(&summary.power).for_each(|(a, b)| *a += up * b);
         self.weight += w * n;
-        // One phase a frame, about the pixels' means: its power in n frames has the relative error 1 / sqrt(n (n - 1)).
+        // A line has one phase per frame, about the pixel means: its power in n frames has the relative error
+        // 1 / sqrt(n (n - 1)).
         self.walk += w * w * n / (n - 1.0);
         self.frames += n;
     }
 
-    /// Both halves together.
+    /// Combines both halves.
     pub fn with(&self, other: &Self) -> Self {
         Self {
             length: self.length,
@@ -312,28 +323,28 @@ impl LineSearch {
         }
     }
 
-    /// Power around a frequency, without it.
+    /// Returns the median power around a frequency, without the line.
     fn floor(&self, at: usize) -> f64 {
         let near = at.saturating_sub(60)..(at + 61).min(self.power.len());
         median(near.filter(|j| j.abs_diff(at) > 4).map(|j| self.power[j]))
     }
 
-    /// The strongest line that is no accident: its place, and its frequency in cycles per pixel.
+    /// Returns the strongest line that is no accident: its bin, and its frequency in cycles per pixel.
     pub fn strongest(&self) -> Option<(usize, f64)> {
         if self.frames < 2.0 {
             return None;
         }
         let n = self.power.len();
         let from = SLOW.min(n / 8);
-        // Against what is around: noise that is filtered has no line.
+        // Power is compared with its surroundings: filtered noise has no line.
         let top = (from..n - 2).max_by(|&a, &b| self.power[a].total_cmp(&self.power[b]))?;
-        // A sum of exponentials: relative deviation 1 / root of the frames. Ten deviations and a third more are no accident
-        // among 10^5 frequencies.
+        // A sum of exponentials has the relative deviation 1 / root of the frames. An excess of ten
+        // deviations, and of at least 30 %, is no accident among 10^5 frequencies.
         let deviation = 1.0 / self.frames.sqrt();
         if self.power[top] / self.floor(top) - 1.0 < (10.0 * deviation).max(0.3) {
             return None;
         }
-        // Between two bins the line's power is shared: a parabola through the logarithms finds its place.
+        // The power of a line between two bins is shared: a parabola through the logarithms finds its place.
         let log = |i: usize| self.power[i].max(f64::MIN_POSITIVE).ln();
         let (a, b, c) = (log(top - 1), log(top), log(top + 1));
         let shift = (0.5 * (a - c) / (a - 2.0 * b + c)).clamp(-0.5, 0.5);
@@ -341,8 +352,8 @@ impl LineSearch {
         Some((top, frequency))
     }
 
-    /// Variance in the line at a place, and one cycle a row of so many columns on either side of it, DN^2; `None`
-    /// beyond the ends of the spectrum.
+    /// Returns the variance in the line at a bin, and one cycle per row of this many columns on either side
+    /// of it, DN^2; `None` beyond the ends of the spectrum.
     pub fn teeth(&self, top: usize, columns: usize) -> [Option<Value>; 3] {
         let row = self.length as f64 / columns as f64;
         super::line::TEETH.map(|away| {
@@ -352,7 +363,7 @@ impl LineSearch {
         })
     }
 
-    /// Variance in the line at a place, DN^2.
+    /// Returns the variance in the line at a bin, DN^2.
     pub fn at(&self, top: usize) -> Value {
         let floor = self.floor(top);
         let last = self.power.len() - 1;
@@ -362,7 +373,8 @@ impl LineSearch {
         let unit = 2.0 / (self.weight * self.length as f64);
         let variance = excess.max(0.0) * unit;
         let error = floor * ((2 * BESIDE + 1) as f64).sqrt() / self.frames.sqrt() * unit;
-        // What few frames show of the line, and what a place between two bins leaves outside those that are summed.
+        // Sampling error of the line in few frames, and the power of a line between two bins outside the
+        // summed bins.
         let walk = self.walk.sqrt() / self.weight;
         Value { value: variance, std_err: error.hypot(variance * walk.hypot(0.02)) }
     }
@@ -372,7 +384,8 @@ impl LineSearch {
 mod tests {
     use super::gaps;
 
-    /// Codes times 1.01, rounded down, leave out one code in 101; codes as they are, and multiples of four, leave out no single one.
+    /// Codes times 1.01, rounded down, leave out one code in 101. Unchanged codes and multiples of four leave
+    /// out no single one.
     #[test]
     fn multiplied_codes_leave_single_ones_out() {
         let mut counts = vec![0u64; 1200];

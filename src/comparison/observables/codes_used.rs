@@ -1,8 +1,8 @@
-//! Share of the codes within the range of the campaign that occur.
+//! Share of occurring codes within the range of the campaign.
 
 use super::{Expected, HalfView, Observable, Put, Statistic, View};
 
-/// The share.
+/// Share of occurring codes.
 #[derive(Debug)]
 pub struct CodesUsed;
 
@@ -23,12 +23,12 @@ impl Statistic for CodesUsed {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let step = view.prediction.code_step_dn.max(1.0);
-        // Steps that grow with the level: what the levels have, on average.
+        // If steps grow with the level, the average over the levels is expected.
         let flats =
             view.prediction.sets.iter().zip(&view.all.campaign.sets).filter(|(_, s)| s.light.is_some());
         let (sum, n) = flats.fold((0.0, 0.0), |(sum, n), (s, _)| (sum + s.codes_used, n + 1.0));
         let used = if n > 0.0 { sum / n } else { 1.0 };
-        // Which levels fill which part of the range is known roughly.
+        // The model knows only roughly which levels fill which part of the range.
         Expected::plain(o, used / step, o.measured.std_err.hypot(0.5 * (1.0 - used)))
     }
 }

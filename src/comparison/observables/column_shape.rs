@@ -1,4 +1,4 @@
-//! Covariance of the means of columns some way apart, DN^2: whether columns that scatter do so one by one, in
+//! Covariance of the means of columns some way apart, DN^2. It separates columns that scatter one by one, in
 //! stripes, or with a field that changes its shape.
 
 use super::expect::{FIELD, larger};
@@ -7,7 +7,7 @@ use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use std::cell::RefCell;
 
-/// The covariance at these distances.
+/// Covariance at these distances.
 #[derive(Debug)]
 pub struct ColumnShape;
 
@@ -53,7 +53,7 @@ impl Statistic for ColumnShape {
         let (Some(s), lag) = (view.set(), line_shape::lag(o.index)) else {
             return Expected::plain(o, 0.0, 1.0);
         };
-        // Noise of pixels and columns as a filter leaves it; the frame's mean takes its part.
+        // Filtered noise of pixels and columns; the frame's mean removes its part.
         let near = if lag < 4 {
             let (shot, read) = (s.shot.across_lag(lag), s.read.across_lag(lag));
             (shot * view.left.0 + read * view.left.1) / rows as f64 + s.column.lag(lag as i32)

@@ -1,6 +1,5 @@
-//! Spectrum of the column means: stripes down the image that move from frame to frame. Its peaks give a
-//! search its starts, and the strongest one of the campaign is an observable
-//! ([`line_peak`]).
+//! Spectrum of the column means: stripes down the image that move from frame to frame. Its peaks are the
+//! starts of a search; the strongest of the campaign is an observable ([`line_peak`]).
 
 use super::line_peak::{self, Axis};
 use super::{Expected, HalfView, Observable, Put, Statistic, View, row_spectrum};
@@ -8,7 +7,8 @@ use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use std::cell::RefCell;
 
-/// Power of the column means of the deviations at frequencies in steps of a quarter of a cycle over all columns.
+/// Power of the column means of the deviations at frequencies in steps of a quarter of a cycle over all
+/// columns.
 #[derive(Debug)]
 pub struct ColumnSpectrum;
 

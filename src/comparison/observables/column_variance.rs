@@ -2,7 +2,7 @@
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
-/// The scatter of whole columns.
+/// Scatter of whole columns.
 #[derive(Debug)]
 pub struct ColumnVariance;
 

@@ -5,11 +5,11 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature
 use crate::statistics::covariance::LAGS;
 use crate::statistics::pass::Summary;
 
-/// The covariance at each of [`LAGS`].
+/// Covariance at each of [`LAGS`].
 #[derive(Debug)]
 pub struct Covariance;
 
-/// Standard error for independent normal pixels.
+/// Returns the standard error for independent normal pixels.
 pub fn theory(r: &Summary) -> f64 {
     r.var.value / (r.pixels * (r.frames as f64 - 1.0)).sqrt()
 }
@@ -51,7 +51,8 @@ impl Statistic for Covariance {
         let unsure = view.set().map_or(0.0, |s| s.unsure_var);
         Expected::plain(
             o,
-            // While the level moves, shading moves neighbours together and fixed pattern does not: anything between.
+            // While the level moves, shading moves neighbours together and fixed pattern does not: the truth
+            // lies between.
             view.lag(dy, dx) + 0.5 * view.moving,
             in_quadrature(&[
                 o.measured.std_err,

@@ -1,4 +1,4 @@
-//! What a prediction says of observables, in the space in which their noise is normal.
+//! Expected values of observables under a prediction, in the space in which their noise is normal.
 
 use super::line_peak::Axis;
 use super::{Observable, Observations};
@@ -7,34 +7,34 @@ use crate::statistics::steady::PixelNoise;
 use radcam_sim::predict::{LAGS, Prediction, Ripple, SetPrediction, TwoLevels};
 use std::cell::OnceCell;
 
-/// An expectation.
+/// Expected value of an observable, with its errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
     /// Predicted value in the observable's own unit.
     pub value: f64,
     /// Standard error in the observable's own unit.
     pub std_err: f64,
-    /// The part of the error that all observables of the same frames have in common, with its sign.
+    /// Part of the error common to all observables of the same frames, signed.
     pub common: f64,
-    /// Measured, predicted and deviation in the space in which the noise is normal.
+    /// Measured value, predicted value and standard error in the space in which the noise is normal.
     pub normal: (f64, f64, f64),
-    /// A few pixels decide its value, so that its errors have heavy tails.
+    /// True if a few pixels dominate the value, so that its errors have heavy tails.
     pub heavy: bool,
 }
 
-/// Degrees of freedom of Student's t that stands for the errors of values that a few pixels decide (Lange, Little
-/// and Taylor 1989, J. Am. Stat. Assoc. 84, 881): of a chi-square of few degrees, squared, five standard errors
-/// come as often as they do there.
+/// Degrees of freedom of the Student's t for the errors of values dominated by a few pixels (Lange, Little
+/// and Taylor 1989, J. Am. Stat. Assoc. 84, 881): five standard errors are as frequent as for the square of a
+/// chi-square of few degrees.
 pub const HEAVY_DOF: f64 = 4.0;
 
-/// A residual with heavy tails as a normal one that costs the same: by the logarithm of Student's t without its
-/// constant.
+/// Converts a residual with heavy tails to the normal residual of equal cost: the logarithm of Student's t
+/// without its constant.
 pub fn lightened(z: f64) -> f64 {
     (HEAVY_DOF * (z * z / HEAVY_DOF).ln_1p()).sqrt().copysign(z)
 }
 
 impl Expected {
-    /// Of an observable whose noise is normal.
+    /// Returns the expectation of an observable with normal noise.
     pub fn plain(o: &Observable, value: f64, std_err: f64) -> Self {
         Self {
             value,
@@ -45,17 +45,19 @@ impl Expected {
         }
     }
 
-    /// The same, where a part of the error is common to the observables of these frames.
+    /// Sets the part of the error that is common to the observables of these frames.
     pub fn with_common(self, common: f64) -> Self {
         Self { common, ..self }
     }
 
-    /// The same, where this part of the error comes of a few pixels.
+    /// Marks heavy tails if `of_few`, the error due to a few pixels, makes up more than 30 % of the error
+    /// variance.
     pub fn with_tails(self, of_few: f64) -> Self {
         Self { heavy: of_few * of_few > 0.3 * self.std_err * self.std_err, ..self }
     }
 
-    /// Of a variance from few samples: its cube root is normal (Wilson and Hilferty 1931).
+    /// Returns the expectation of a variance from few samples: its cube root is normal (Wilson and Hilferty
+    /// 1931).
     pub fn of_few(o: &Observable, value: f64, dof: f64) -> Self {
         let value = value.max(1e-12);
         let c = 2.0 / (9.0 * dof);
@@ -69,7 +71,7 @@ impl Expected {
         }
     }
 
-    /// The same where the value may be off by that much more: of a cube root by a third of that share.
+    /// Adds a model error of the value; the relative error of a cube root is a third of it.
     pub fn unsure(self, by: f64) -> Self {
         let (measured, root, error) = self.normal;
         let more = by / (3.0 * self.value.cbrt().powi(2));
@@ -77,82 +79,85 @@ impl Expected {
         Self { std_err, normal: (measured, root, in_quadrature(&[error, more])), ..self }
     }
 
-    /// Standardised residual.
+    /// Returns the standardised residual.
     pub fn z(&self) -> f64 {
         (self.normal.0 - self.normal.1) / self.normal.2
     }
 }
 
-/// Root of the sum of the squares of errors: plainer and faster than a chain of [`f64::hypot`], which guards against overflow.
+/// Returns the root of the sum of squared errors: simpler and faster than a chain of [`f64::hypot`], which
+/// guards against overflow.
 #[inline]
 pub fn in_quadrature(errors: &[f64]) -> f64 {
     errors.iter().map(|e| e * e).sum::<f64>().sqrt()
 }
 
-/// What taking off the mean over `n` frames leaves of the variance of temporally correlated noise.
+/// Returns the fraction of the variance of temporally correlated noise that is left after subtracting the
+/// mean over `n` frames.
 fn left(memory: &[f64], n: f64) -> f64 {
     let lost: f64 = memory.iter().enumerate().map(|(k, r)| (n - (k + 1) as f64).max(0.0) * r).sum();
     1.0 - 2.0 * lost / (n * (n - 1.0))
 }
 
-/// Stripes that a line of the spectrum makes in the means of rows or columns, DN^2.
+/// Stripes in the means of rows or columns due to a line of the spectrum, DN^2.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Stripes {
     /// Covariance of means at a lag.
     pub covariance: f64,
     /// Variance of a mean.
     pub variance: f64,
-    /// Standard error of the variance: few phases, and products with noise.
+    /// Standard error of the variance, due to few phases and to products with noise.
     pub std_err: f64,
-    /// Part of the error that all lags share, with its sign.
+    /// Part of the error common to all lags, signed.
     pub common: f64,
 }
 
-/// Share of a line's variance that is left in means over n pixels with a phase step (squared Dirichlet
-/// kernel).
+/// Returns the share of a line's variance that is left in means over n pixels with a phase step (squared
+/// Dirichlet kernel).
 pub(super) fn line_mean(phase: f64, n: f64) -> f64 {
     let half = (0.5 * phase).sin();
     if half.abs() < 1e-9 { 1.0 } else { ((0.5 * phase * n).sin() / (n * half)).powi(2) }
 }
 
-/// Error of the predicted mean and variance of noise quantised in steps of q, DN and DN^2, where noise and
-/// levels together are narrower than about half a step. Half of the first terms of the characteristic function
-/// (Widrow and Kollar 2008, ch. 4 and app. B).
+/// Returns the error of the predicted mean and variance of noise quantised in steps of q, DN and DN^2, for
+/// noise and levels that together are narrower than about half a step. It is half of the first terms of the
+/// characteristic function (Widrow and Kollar 2008, ch. 4 and app. B).
 fn quantised(variance: f64, spread: f64, q: f64) -> (f64, f64) {
     let noise = (variance - q * q / 12.0).max(1e-3 * q * q);
     let fades = |square: f64| (-2.0 * std::f64::consts::PI.powi(2) * square / (q * q)).exp();
-    // Levels of shading end at edges: the characteristic function of even ones falls as one over their width
-    // (root 12 deviations). What a few places stand for is known to half.
+    // Levels of shading have edges: the characteristic function of uniform levels falls as one over their
+    // width (root 12 deviations). The effect represented by a few places is known to half.
     let width = std::f64::consts::PI * 12f64.sqrt() * spread / q;
     let shading = if width > 1.0 { 0.5 / width } else { 0.0 };
     let ripple = fades(noise) * (0.5 * fades(spread * spread)).max(shading);
     (q / std::f64::consts::PI * ripple, (q * q / std::f64::consts::PI.powi(2) + 4.0 * noise) * ripple)
 }
 
-/// What rounding may do to mean and variance beyond what is predicted, DN and DN^2.
+/// Returns the possible effect of rounding on mean and variance beyond the prediction, DN and DN^2.
 fn rough(prediction: &Prediction, s: &SetPrediction, noise: f64, spread: f64) -> (f64, f64) {
     let (mean, variance) = quantised(noise, spread, prediction.code_step_dn.max(s.step_dn));
     if prediction.bit_errors_dn[..6].iter().all(|e| *e == 0.0) {
         return (mean, variance);
     }
-    // Where the noise covers few codes their widths are in it: not an equation but a bound on what is not predicted, gone where the noise
-    // covers many.
+    // If the noise covers few codes, it contains their widths. This is no equation but a bound on the part
+    // that is not predicted; it vanishes if the noise covers many codes.
     let widths = 0.5 * prediction.bit_errors_dn[..6].iter().map(|e| e * e).sum::<f64>();
     (mean, variance.hypot(widths * (-0.02 * noise).exp()))
 }
 
-/// How little n frames show of a light that changes down the rows, DN^2. `within`: the share of it that does not change whole frames.
+/// Returns the sampling error, over n frames, of a light that changes down the rows, DN^2. `within`: share of
+/// its variance that does not change whole frames.
 fn ripple_error(s: &SetPrediction, within: f64, rows: f64, n: f64) -> f64 {
     let dof = (n - 1.0).max(1.0);
     let of = |&(v, ripple): &(f64, Ripple)| {
         let v = v * within;
         match ripple {
-            // Like a line it has one phase a frame.
+            // Like a line it has one phase per frame.
             Ripple::Sine(cycles) => {
                 let part = 1.0 / (std::f64::consts::TAU * cycles * rows).max(1.0);
                 v * (1.0 / (n * (n - 1.0)).max(1.0) + 2.0 * part * part / dof).sqrt()
             }
-            // Squares of an autoregression forget twice as fast as it does itself.
+            // The square of an autoregression decorrelates twice as fast as the autoregression.
             Ripple::Wander(next) => {
                 let parts = (rows * (1.0 - next * next) / (1.0 + next * next)).max(1.0);
                 v * (2.0 / (dof * parts)).sqrt()
@@ -166,7 +171,8 @@ fn ripple_error(s: &SetPrediction, within: f64, rows: f64, n: f64) -> f64 {
     }
 }
 
-/// Covariances of the noise of a set, DN^2, by rows and columns apart; several statistics of several chunks ask for each.
+/// Covariances of the noise of a set, DN^2, by row and column lag; several statistics of several chunks use
+/// each.
 #[derive(Debug, Clone, Copy, Default)]
 struct Lags {
     shot: [[f64; LAGS]; LAGS],
@@ -174,11 +180,11 @@ struct Lags {
     row: [f64; LAGS],
     column: [f64; LAGS],
     ripple: [f64; LAGS],
-    /// Columns from -3 on.
+    /// Column lags from -3 on.
     lines: [[f64; 2 * LAGS - 1]; LAGS],
-    /// Covariances of the field's shapes, by rows and by columns apart.
+    /// Covariances of the field's shapes, by row lag and by column lag.
     fields: [[f64; LAGS]; 2],
-    /// Of the means of rows, times the pixels of one: of shot noise and of read noise.
+    /// Covariances of row means times the pixels of a row: shot noise, then read noise.
     of_rows: [[f64; LAGS]; 2],
 }
 
@@ -207,99 +213,100 @@ impl Lags {
         }
     }
 
-    /// Multiplies the shot noise by this.
+    /// Multiplies the shot noise by this factor.
     fn scale_shot(&mut self, by: f64) {
         self.shot.iter_mut().flatten().for_each(|v| *v *= by);
         self.of_rows[0].iter_mut().for_each(|v| *v *= by);
     }
 
-    /// Of what lies in lines of the spectrum: the same at the opposite lag.
+    /// Returns the covariance of lines of the spectrum; it is equal at the opposite lag.
     fn lines(&self, dy: i32, dx: i32) -> f64 {
         let along = if dy < 0 { -dx } else { dx };
         self.lines[near(dy)][(along + LAGS as i32 - 1).clamp(0, 2 * LAGS as i32 - 2) as usize]
     }
 
-    /// Covariance of the field's shapes.
+    /// Returns the covariance of the field's shapes.
     fn fields(&self, dy: i32, dx: i32) -> f64 {
         self.fields[0][near(dy)] + self.fields[1][near(dx)]
     }
 
-    /// A pixel with itself.
+    /// Returns the variance of a pixel.
     fn variance(&self) -> f64 {
         let lines = self.row[0] + self.column[0] + self.ripple[0] + self.lines(0, 0);
         self.shot[0][0] + self.read[0][0] + lines + self.fields(0, 0)
     }
 }
 
-/// The larger of two errors, with its sign: of those that statistics of the same frames share one is kept.
+/// Returns the larger of two errors, signed: of the errors common to statistics of the same frames one is
+/// kept.
 pub(super) fn larger(a: f64, b: f64) -> f64 {
     if b.abs() > a.abs() { b } else { a }
 }
 
-/// Place of a lag in a table of them.
+/// Returns the index of a lag in a table of lags.
 fn near(lag: i32) -> usize {
     (lag.unsigned_abs() as usize).min(LAGS - 1)
 }
 
-/// The field is known to so much of what it does (a named choice: its smooth part is told by rows and columns).
+/// Relative error of the effect of the field (a named choice: rows and columns determine its smooth part).
 pub(super) const FIELD: f64 = 0.05;
 
-/// A prediction as the observables of one chunk of frames see it.
+/// Prediction for the observables of one chunk of frames.
 #[derive(Debug)]
 pub struct View<'a> {
-    /// Everything that is expected.
+    /// The full prediction.
     pub prediction: &'a Prediction,
-    /// Everything that was observed.
+    /// All observations.
     pub all: &'a Observations,
-    /// Place of the set; `None` for the whole campaign.
+    /// Index of the set; `None` for the whole campaign.
     pub at: Option<usize>,
     /// Expected means of the frames, DN.
     pub frames: &'a [f64],
-    /// Number of these pixels.
+    /// Number of these frames, at least 1.
     pub n: f64,
-    /// That less one, and one at least.
+    /// Number of these frames minus 1, at least 1.
     pub dof: f64,
-    /// Their mean, DN.
+    /// Mean of the expected frame means, DN.
     pub mean: f64,
-    /// Their expected variance, DN^2: the level moves.
+    /// Variance of the expected frame means, DN^2: the level moves.
     pub moved: f64,
-    /// While the level moves within a chunk, shading and fixed pattern move with it, pixel by pixel: how much of that neighbours share is
-    /// not known, DN^2.
+    /// Variance due to a level that moves within a chunk, DN^2: shading and fixed pattern move with it, pixel
+    /// by pixel. The part that neighbours share is unknown.
     pub moving: f64,
-    /// The part of the noise of pixels and lines that a frame's mean takes with it, DN^2.
+    /// Part of the noise of pixels and lines that subtracting the frame mean removes, DN^2.
     pub of_mean: f64,
-    /// Variance, DN^2, of the mean over all rows of what changes slowly down them.
+    /// Variance of the mean over all rows of slow changes down the rows, DN^2.
     pub ripple_of_mean: f64,
-    /// Covariance of a pixel with itself, DN^2.
+    /// Variance of a pixel, DN^2.
     pub noise: f64,
-    /// What taking off the mean over the frames leaves of shot noise and of read noise.
+    /// Fractions of shot noise and of read noise that are left after subtracting the mean over the frames.
     pub left: (f64, f64),
-    /// What rounding may do to mean and variance beyond what is predicted, DN and DN^2.
+    /// Possible effect of rounding on mean and variance beyond the prediction, DN and DN^2.
     pub rough: (f64, f64),
-    /// Error by rounding of covariances of the means of lines, times the pixels of a line, DN^2. Lines apart
-    /// share no pixel: the error that all chunks of a level have in common is in their variances alone.
+    /// Rounding error of covariances of line means, times the pixels of a line, DN^2. Different lines share
+    /// no pixel: only their variances have the error common to all chunks of a level.
     pub rough_lags: f64,
-    /// How little few frames show of a light that changes down the rows, DN^2.
+    /// Sampling error of a light that changes down the rows, DN^2.
     pub ripple_error: f64,
-    /// Variance that these frames share in proportion to the light of each pixel, DN^2: as much as their means
-    /// show.
+    /// Variance that these frames share in proportion to the light of each pixel, DN^2, as shown by their
+    /// means.
     pub with_light: f64,
     lags: Lags,
     whole: Whole,
-    /// Spread of the pixels' noise and its shape, once a statistic has asked.
+    /// Spread of the pixels' noise and its shape, computed on first use.
     pixel_noise: OnceCell<(f64, PixelNoise)>,
 }
 
-/// Light of a set under a lamp that flickers.
+/// Light of a set under a flickering lamp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Light {
-    /// Light that its frames show.
+    /// Light shown by the frames of the set.
     Own,
     /// Light of the model.
     Nominal,
 }
 
-/// Facts of a whole prediction: many observables ask for each.
+/// Properties of a whole prediction, used by many observables.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Whole {
     light: Light,
@@ -320,7 +327,7 @@ impl Whole {
 }
 
 impl<'a> View<'a> {
-    /// Expected power at the peak of a spectrum of line means.
+    /// Returns the expected power at the peak of a spectrum of line means.
     pub fn peak(&self, axis: Axis, o: &Observable) -> Expected {
         match &self.all.peaks[axis as usize] {
             Some(peak) => peak.expect(o, self),
@@ -328,7 +335,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// For the frames of an observable.
+    /// Creates the view for the frames of an observable.
     fn new(
         o: &Observable,
         prediction: &'a Prediction,
@@ -377,21 +384,21 @@ impl<'a> View<'a> {
         let spread = o.set.and_then(|i| all.campaign.sets.get(i)).map_or(0.0, |s| s.spread_dn);
         view.rough = rough(prediction, s, view.noise, spread);
         view.rough_lags = view.rough.1;
-        // Rounding errors are the same in all chunks of a level, and do not average out.
+        // Rounding errors are equal in all chunks of a level and do not average out.
         let alike = o.set.and_then(|i| all.alike.get(i)).map_or(1.0, |n| n.sqrt());
         view.rough = (alike * view.rough.0, alike * view.rough.1);
-        // What the frame's mean takes with it does not scatter.
+        // The part removed with the frame mean does not scatter.
         let within = 1.0 - view.ripple_of_mean / s.ripple(0.0).max(f64::MIN_POSITIVE);
         view.ripple_error = ripple_error(s, within, shape.0 as f64, n);
-        // Not what is expected of the frames' scatter but what they show: it is one number for all statistics of
-        // these frames.
+        // The scatter shown by the frames is used instead of the expected one: it is one number for all
+        // statistics of these frames.
         if s.with_light > 0.0 {
             let (mean_dn, var_dn2) = o.frame_means;
             let shown = (var_dn2 - view.of_mean - moved).max(0.0);
             let share = (s.with_light / s.common.max(f64::MIN_POSITIVE)).min(1.0);
             view.with_light = shown * share;
-            // So is their light: the shot noise of few frames under a lamp that flickers is that of their own
-            // mean, as far as the lamp moves it.
+            // Their light is also the one shown: under a flickering lamp the shot noise of few frames follows
+            // their own mean, as far as the lamp moves it.
             let signal_dn = mean - prediction.base.offset_dn;
             if whole.light == Light::Own && var_dn2 > 0.0 && signal_dn > 0.0 {
                 let by_light = s.with_light / (s.common + view.of_mean).max(f64::MIN_POSITIVE);
@@ -401,12 +408,13 @@ impl<'a> View<'a> {
         view
     }
 
-    /// The set's prediction.
+    /// Returns the prediction of the set.
     pub fn set(&self) -> Option<&'a SetPrediction> {
         self.at.and_then(|i| self.prediction.sets.get(i))
     }
 
-    /// Covariance at a lag of at most 3 rows and columns, as it is measured: about each pixel's and each frame's mean, DN^2.
+    /// Returns the covariance at a lag of at most 3 rows and columns as measured, about the mean of each
+    /// pixel and of each frame, DN^2.
     pub fn lag(&self, dy: i32, dx: i32) -> f64 {
         if self.set().is_none() {
             return 0.0;
@@ -424,13 +432,14 @@ impl<'a> View<'a> {
             - self.of_mean
     }
 
-    /// Model uncertainty of the variance while the level still moves, DN^2; below a sixteenth of a code it no longer does.
+    /// Returns the model error of the variance while the level moves, DN^2; 0 if the level moves by less than
+    /// a sixteenth of a code.
     pub fn unsure_moving(&self) -> f64 {
         self.set().filter(|_| self.moved > 0.004).map_or(0.0, |s| s.unsure_moving)
     }
 
-    /// Error of a mean product of noise that whole lines share, DN^2: there are few of them, and a mean product of n normal pairs has the
-    /// error s^2 / root n (twice that square for a product with itself).
+    /// Returns the error of a mean product of noise shared by whole lines, DN^2. Lines are few: a mean
+    /// product of n normal pairs has the error s^2 / root n (twice that square for a product with itself).
     pub fn shared(&self, dy: i32, dx: i32) -> f64 {
         if self.set().is_none() {
             return 0.0;
@@ -444,20 +453,20 @@ impl<'a> View<'a> {
         in_quadrature(&[rows, columns, self.ripple_error, self.field_error(self.lags.fields(dy, dx))])
     }
 
-    /// Error that few frames leave of the variance of shapes that they take anew: its scatter is that of the
-    /// square of one number a frame.
+    /// Returns the sampling error of the variance of shapes drawn anew in each frame: that of the square of
+    /// one number per frame.
     pub fn field_error(&self, variance: f64) -> f64 {
         variance * (2.0 / self.dof).sqrt()
     }
 
-    /// Variance of the pixels' variances over the square of their mean, and raw second, third and fourth moment
-    /// of the variances over their mean.
+    /// Returns the variance of the pixel variances over the square of their mean, and the raw second, third
+    /// and fourth moments of the variances over their mean.
     pub fn unequal(&self) -> (f64, [f64; 3]) {
         let (spread, shape) = self.pixel_noise();
         (*spread, shape.moments(*spread))
     }
 
-    /// Variance of the pixels' variances over the square of their mean.
+    /// Returns the variance of the pixel variances over the square of their mean.
     pub fn unequal_spread(&self) -> f64 {
         self.pixel_noise().0
     }
@@ -469,8 +478,8 @@ impl<'a> View<'a> {
     fn find_pixel_noise(&self) -> (f64, PixelNoise) {
         let square = (self.noise * self.noise).max(f64::MIN_POSITIVE);
         let predicted = self.set().map_or(0.0, |s| s.unequal.max(0.0) / square);
-        // Errors do not follow the fit where darks show the spread: what a fit makes small would seem known, and
-        // what it makes large unknown.
+        // Errors do not follow the fit if darks show the spread: a small fitted value would seem certain, and
+        // a large one uncertain.
         let Some(shown) = self.all.pixel_noise else { return (predicted, PixelNoise::usual(predicted)) };
         let base = &self.prediction.base;
         let read = (base.gain_dn_per_e * base.read_noise_e).powi(2);
@@ -481,21 +490,23 @@ impl<'a> View<'a> {
         (rest + shown.spread.max(0.0) * dark * dark / square, shown)
     }
 
-    /// Largest variance of a pixel over the mean of all: one pixel may decide a mean of fourth powers.
+    /// Returns the largest variance of a pixel over the mean of all: one pixel may dominate a mean of fourth
+    /// powers.
     pub fn noisiest(&self) -> f64 {
         let (spread, shape) = self.pixel_noise();
         shape.largest(*spread)
     }
 
-    /// By how much products of neighbours scatter more where some pixels have most of the noise and neighbours are alike, as beside the edge
-    /// of what is clipped: the root of the mean square of the pixels' variances over the square of their mean.
+    /// Returns the factor by which products of neighbours scatter more if some pixels have most of the noise
+    /// and neighbours are alike, as beside the edge of a clipped region: the root of the mean square of the
+    /// pixel variances over the square of their mean.
     pub fn unlike(&self) -> f64 {
         let square = self.noise * self.noise;
         self.set().map_or(1.0, |s| (1.0 + s.unequal.max(0.0) / square.max(f64::MIN_POSITIVE)).sqrt())
     }
 
-    /// The error at a lag that all statistics of the same frames have in common: these show too much or too little of a ripple or a line.
-    /// With its sign; where there are several, the largest.
+    /// Returns the error at a lag common to all statistics of the same frames, signed: the frames show too
+    /// much or too little of a ripple or a line. Of several such errors the largest is returned.
     pub fn common(&self, dy: i32, dx: i32) -> f64 {
         let of = &self.lags.ripple;
         let ripple = if of[0] > 0.0 { self.ripple_error * of[near(dy)] / of[0] } else { 0.0 };
@@ -503,38 +514,40 @@ impl<'a> View<'a> {
         larger(larger(ripple, self.lines(dy, dx)), field)
     }
 
-    /// A line has one phase a frame: what few frames show of it scatters (random walk of n phases), DN^2; with the sign of its covariance.
+    /// Returns the sampling error of lines of the spectrum, DN^2, with the sign of their covariance. A line
+    /// has one phase per frame (random walk of n phases).
     pub fn lines(&self, dy: i32, dx: i32) -> f64 {
         if self.set().is_some() { self.walk() * self.lags.lines(dy, dx) } else { 0.0 }
     }
 
-    /// Variance of a pixel's shot noise and of its read noise, DN^2.
+    /// Returns the variances of a pixel's shot noise and read noise, DN^2.
     pub fn pixels(&self) -> (f64, f64) {
         (self.lags.shot[0][0], self.lags.read[0][0])
     }
 
-    /// Covariance of the means of rows this far apart, at most 3, times the pixels of one, DN^2: by shot noise and by read noise.
+    /// Returns the covariances of the means of rows this far apart (at most 3), times the pixels of a row,
+    /// DN^2: shot noise and read noise.
     pub fn of_rows(&self, apart: usize) -> (f64, f64) {
         let [shot, read] = self.lags.of_rows;
         (shot[apart.min(LAGS - 1)], read[apart.min(LAGS - 1)])
     }
 
-    /// Error of the mean product of two frames of noise that all share, over its variance.
+    /// Returns the error of the mean product of two frames of noise common to all pixels, over its variance.
     pub fn walk(&self) -> f64 {
         1.0 / (self.n * (self.n - 1.0)).max(1.0).sqrt()
     }
 
-    /// Error that few frames leave of the variance of a sine of so many lines beside noise of a line's mean,
-    /// DN^2: their phases (random walk), and its products with the noise, whose power at one frequency is
-    /// that of every other (Priestley 1981, Spectral Analysis and Time Series, section 6.2: twice the product
-    /// of both powers, over the frames).
+    /// Returns the sampling error of the variance of a sine in the means of `lines` lines, DN^2. It has two
+    /// parts: the phases (random walk), and products with the noise of a line's mean, whose power at one
+    /// frequency equals that at every other (Priestley 1981, Spectral Analysis and Time Series, section 6.2:
+    /// twice the product of both powers, over the frames).
     pub fn of_stripes(&self, stripes: f64, noise: f64, lines: usize) -> f64 {
         let with_noise = 4.0 * stripes.max(0.0) * noise.max(0.0) / (self.dof * lines as f64);
         in_quadrature(&[self.walk() * stripes, with_noise.sqrt()])
     }
 
-    /// Stripes in the means of rows, or of columns, `lag` apart; `noise`: variance of a mean without them,
-    /// DN^2.
+    /// Returns the stripes in the means of rows or columns `lag` apart. `noise`: variance of a mean without
+    /// stripes, DN^2.
     pub fn stripes(&self, rows: bool, lag: usize, noise: f64) -> Stripes {
         let Some(s) = self.set() else { return Stripes::default() };
         let shape = self.all.campaign.shape;
@@ -550,19 +563,19 @@ impl<'a> View<'a> {
         Stripes { covariance, variance, std_err, common: std_err * sign }
     }
 
-    /// Variance of the means of rows or of columns, as it is measured.
+    /// Returns the variance of the means of rows or columns as measured.
     pub fn line_variance(&self, o: &Observable, rows: bool) -> Expected {
         let Some(s) = self.set() else { return Expected::plain(o, 0.0, 1.0) };
         let shape = self.all.campaign.shape;
         let (axis, count) = if rows { (1, self.all.lines.0) } else { (0, self.all.lines.1) };
-        // Pixels that count of a line that has some.
+        // Valid pixels of a line that has any.
         let width = o.pixels / count.max(1) as f64;
         let own = if rows { self.lags.row[0] + self.lags.ripple[0] } else { self.lags.column[0] };
         let shapes = if rows { s.fields.of_rows() } else { s.fields.of_columns() };
         let of_lines = self.stripes(rows, 0, 0.0).variance;
         let (shot, read) = if rows { self.of_rows(0) } else { (s.shot.along(axis), s.read.along(axis)) };
         let pixels = (shot * self.left.0 + read * self.left.1) / width;
-        // Of noise across the lines each holds the mean, which the frame's mean takes with it.
+        // Each line contains the mean of the noise across the lines, which the frame mean removes.
         let across = if rows {
             s.column.of_mean() / shape.1 as f64
         } else {
@@ -584,18 +597,19 @@ impl<'a> View<'a> {
         .with_common(ripple.max(self.of_stripes(of_lines, value - of_lines - shapes, count)))
     }
 
-    /// Share of noise with these correlations that is left once the mean over the frames is taken off.
+    /// Returns the share of noise with these correlations that is left after subtracting the mean over the
+    /// frames.
     pub fn left_of(&self, memory: &[f64]) -> f64 {
         if self.n > 1.5 { left(memory, self.n) } else { 1.0 }
     }
 
-    /// Mean product of successive residuals over the variance, for noise with these correlations.
+    /// Returns the mean product of successive residuals over the variance, for noise with these correlations.
     pub fn product(&self, memory: &[f64]) -> f64 {
         let rho = |apart: usize| memory.get(apart - 1).copied().unwrap_or(0.0);
         CorrelatedFrames::new(self.frames.len(), rho).product()
     }
 
-    /// Correlations of the pixels' noise in these frames; `None` for independent frames.
+    /// Returns the correlations of the pixels' noise in these frames; `None` for independent frames.
     fn correlated(&self) -> Option<CorrelatedFrames> {
         let s = self.set().filter(|s| !s.shot_memory.is_empty() || !s.read_memory.is_empty())?;
         let (shot, read) = self.pixels();
@@ -605,47 +619,47 @@ impl<'a> View<'a> {
         Some(CorrelatedFrames::new(self.frames.len(), rho))
     }
 
-    /// Relative variance of the sample variance of a pixel beyond that of independent frames.
+    /// Returns the relative variance of a pixel's sample variance beyond that of independent frames.
     pub fn spread_in_time(&self) -> f64 {
         self.correlated().map_or(0.0, |frames| frames.spread())
     }
 
-    /// Error of a mean square of so many pixels beyond that of independent frames, DN^2; of a mean product of
-    /// neighbours it is at most that.
+    /// Returns the error of a mean square of this number of pixels beyond that of independent frames, DN^2.
+    /// For a mean product of neighbours this is an upper bound.
     pub fn alike_in_time(&self, pixels: f64) -> f64 {
         self.noise * (self.spread_in_time().max(0.0) / pixels).sqrt()
     }
 
-    /// Relative spread of the variances of the deviations from the mean of earlier frames; 0 for independent
-    /// frames.
+    /// Returns the relative spread of the variances of the deviations from the mean of earlier frames; 0 for
+    /// independent frames.
     pub fn unlike_in_time(&self) -> f64 {
         self.correlated().map_or(0.0, |frames| frames.unlike())
     }
 
-    /// Width of a code under the converter that is predicted.
+    /// Returns the width of a code under the predicted converter.
     pub fn width(&self, code: u32) -> f64 {
         let p = self.prediction;
         if p.code_step_dn > 1.0 {
             let from = (f64::from(code) - p.code_zero_dn).rem_euclid(p.code_step_dn);
             return if from < 0.5 || from >= p.code_step_dn - 0.5 { p.code_step_dn } else { 0.0 };
         }
-        // The next code has the lowest bit that is not set, and none below it.
+        // The next code has the lowest unset bit, and none below it.
         let bit = code.trailing_ones() as usize;
         let lost: f64 = p.bit_errors_dn[..bit.min(p.bit_errors_dn.len())].iter().sum();
         (1.0 + p.bit_errors_dn.get(bit).copied().unwrap_or(0.0) - lost).max(0.0)
     }
 
-    /// Whether all codes occur at all levels that are predicted.
+    /// Returns true if all codes occur at all predicted levels.
     pub fn all_codes(&self) -> bool {
         self.whole.all_codes
     }
 
-    /// Whether the converter that is predicted has equal widths of one step.
+    /// Returns true if the predicted converter has equal widths of one step.
     pub fn even_codes(&self) -> bool {
         self.whole.even_codes
     }
 
-    /// True where firmware moves samples by whole codes at any level.
+    /// Returns true if firmware moves samples by whole codes at any level.
     pub fn moves_samples(&self) -> bool {
         self.whole.moves_samples
     }
@@ -654,7 +668,7 @@ impl<'a> View<'a> {
 /// Set and frames of an observable.
 type Place = (Option<usize>, (usize, usize));
 
-/// Expectations of the observables that `wanted` takes, in their order.
+/// Returns the expectations of the observables selected by `wanted`, in their order.
 pub fn expectations(
     all: &Observations,
     prediction: &Prediction,
@@ -663,12 +677,14 @@ pub fn expectations(
     expectations_beside(all, prediction, wanted, None)
 }
 
-/// Expectations of all observables under the light of the model, whatever frames show of a lamp that flickers.
+/// Returns the expectations of all observables under the light of the model, ignoring the light that frames
+/// show under a flickering lamp.
 pub fn nominal_expectations(all: &Observations, prediction: &Prediction) -> Vec<Expected> {
     expectations_under(Light::Nominal, all, prediction, |_| true, None)
 }
 
-/// Expectations as [`expectations`] gives them; those of frames that a known prediction describes alike are reused.
+/// Returns expectations as [`expectations`] does, and reuses those of frames that a known prediction
+/// describes alike.
 pub fn expectations_beside(
     all: &Observations,
     prediction: &Prediction,

@@ -1,35 +1,34 @@
-//! The field of the light: how far the brightness of pixels, rows and columns lies from the mean, as the flats
-//! show it. What scatters with the light of whole frames does so in proportion to it: a dark corner flickers
-//! less.
+//! Field of the light: relative deviation of pixels, rows and columns from the mean brightness, as shown by
+//! the flats. The scatter of the light of whole frames is proportional to it: a dark corner flickers less.
 
 use super::gradient;
 use crate::statistics::pass::Summary;
 
-/// Means of rows, and of columns, this far apart are compared.
+/// Distances at which means of rows, and of columns, are compared.
 pub const LINE_LAGS: [usize; 7] = [1, 2, 4, 8, 16, 32, 64];
 
 /// Mean squares and products of the relative deviations of the field.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Field {
-    /// Of single pixels.
+    /// Mean square over single pixels.
     pub pixels: f64,
-    /// Of pixels and their neighbours: what is smooth.
+    /// Mean product of neighbouring pixels: the smooth part.
     pub smooth: f64,
-    /// Of the means of rows, and of columns.
+    /// Mean square of the row means.
     pub rows: f64,
-    /// See `rows`.
+    /// Mean square of the column means.
     pub columns: f64,
-    /// Products of the means of rows [`LINE_LAGS`] apart.
+    /// Mean products of row means [`LINE_LAGS`] apart.
     pub row_lags: [f64; LINE_LAGS.len()],
-    /// Products of the means of columns as far apart.
+    /// Mean products of column means at the same distances.
     pub column_lags: [f64; LINE_LAGS.len()],
     /// Mean products with the shapes of [`gradient`](super::gradient), in its order.
     pub shapes: [f64; 4],
-    /// Squares of the differences of the halves: lower less upper, right less left.
+    /// Squared differences of the halves: lower less upper, right less left.
     pub halves: [f64; 2],
 }
 
-/// Relative deviations of the means of lines from their mean.
+/// Returns the relative deviations of line means from their mean.
 fn relative(lines_dn: &[f64], zero_dn: f64) -> Vec<f64> {
     let mean = lines_dn.iter().sum::<f64>() / lines_dn.len().max(1) as f64;
     let signal = (mean - zero_dn).max(1e-9);
@@ -43,7 +42,7 @@ fn halves(lines: &[f64]) -> f64 {
 }
 
 impl Field {
-    /// Of the mean image of bright frames.
+    /// Computes the field from the mean image of bright frames.
     pub fn of(s: &Summary, zero_dn: f64) -> Self {
         let signal = (s.frame_means.mean_dn() - zero_dn).max(1e-9);
         let (rows, columns) = (relative(&s.rows_dn, zero_dn), relative(&s.columns_dn, zero_dn));
@@ -64,7 +63,7 @@ impl Field {
                 shape(&columns, gradient),
                 shape(&columns, curvature),
             ],
-            // Rows and columns tell nearly all of a smooth field.
+            // Rows and columns determine nearly all of a smooth field.
             smooth: (of_rows + of_columns).min(pixels),
             rows: of_rows,
             columns: of_columns,

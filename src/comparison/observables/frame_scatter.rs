@@ -2,7 +2,7 @@
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
-/// The scatter from frame to frame.
+/// Scatter from frame to frame.
 #[derive(Debug)]
 pub struct FrameScatter;
 

@@ -1,9 +1,10 @@
-//! Share of single codes that never occur, between codes that do: codes multiplied after conversion, or sent by a table.
+//! Share of single codes that never occur, between codes that do: codes multiplied after conversion, or sent
+//! through a table.
 
 use super::codes::Filled;
 use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 
-/// The share; index 0 is that of all codes, the others are bands of codes.
+/// Share of missing codes. Index 0 is that of all codes, the others are bands of codes.
 #[derive(Debug)]
 pub struct Gaps;
 
@@ -43,7 +44,7 @@ impl Statistic for Gaps {
             return Expected::plain(o, 0.0, o.measured.std_err);
         }
         let codes = seen.range_of(o.index, view.all.campaign.full_scale_dn as usize + 1);
-        // Codes whose lowest bits are all set, so many and no more, have one width.
+        // Codes with exactly this number of lowest bits set have one width.
         let kinds: Vec<(f64, f64)> = (0..u16::BITS)
             .map(|bits| {
                 let (first, apart) = ((1u32 << bits) - 1, 1u32 << (bits + 1));
@@ -53,27 +54,31 @@ impl Statistic for Gaps {
             })
             .collect();
         let share = |width: f64| kinds.iter().filter(|k| k.0 <= width).map(|k| k.1).sum::<f64>();
-        // Weights of bits are known to some tenths of a step: narrow codes may be none, and those that are none narrow ones.
+        // Weights of bits are known to some tenths of a step: a narrow code may be missing, and a missing
+        // code may be narrow.
         let unsure = share(NARROW) - 0.5 * share(0.0);
         Expected::plain(o, share(0.0), o.measured.std_err.hypot(unsure))
     }
 }
 
-/// Width of a code that may be none, in steps.
+/// Width below which a code may be missing, in steps.
 const NARROW: f64 = 0.3;
-/// Steps of neighbouring levels that differ by more, in codes, belong to a table with a knee: a square root's differ by some tenths.
+/// Difference between the steps of neighbouring levels, in codes, above which a table has a knee; the steps
+/// of a square root differ by some tenths.
 const KNEE: f64 = 0.5;
 
-/// Of steps of q = 1 + f codes a share f is of two codes and the rest of one, and they follow each other as evenly as can be: rounded
-/// multiples of q are a Sturmian word (Lothaire 2002, Algebraic Combinatorics on Words, section 2.1.2). For f < 1/2 no two steps of two are
-/// neighbours: f codes are left out for each step, and two steps of one follow each other 1 - 2 f times. From 1/2 on no two steps of one do.
+/// Returns the share of missing codes between occurring ones, for steps of q = 1 + f codes. A share f of the
+/// steps is of two codes and the rest of one, in the most even order: rounded multiples of q are a Sturmian
+/// word (Lothaire 2002, Algebraic Combinatorics on Words, section 2.1.2). For f < 1/2 no two steps of two are
+/// neighbours: f codes are missing for each step, and two steps of one follow each other 1 - 2 f times. From
+/// 1/2 on no two steps of one do.
 fn left_out(q: f64) -> f64 {
     let f = q - 1.0;
     if f < 0.5 { f / (1.0 - f) } else { 1.0 }
 }
 
-/// Share of single codes that are left out of some parts: the codes of each, the step there, and by how much steps differ around it. `one` is
-/// that of a single code. With its error.
+/// Returns the share of missing single codes over some parts, with its error. `parts`: the codes of each, the
+/// step there, and the difference between the steps around it. `one`: share of a single code.
 fn share_of(parts: impl Iterator<Item = (f64, f64, f64)>, one: f64) -> (f64, f64) {
     let (mut single, mut all, mut open) = (0.0, 0.0, 0.0);
     for (codes, q, apart) in parts {
@@ -87,19 +92,19 @@ fn share_of(parts: impl Iterator<Item = (f64, f64, f64)>, one: f64) -> (f64, f64
     }
     let share = if all > 0.0 { single / all } else { 0.0 };
     let of_knee = if open > 0.0 { open / (all + open) } else { 0.0 };
-    // Between levels steps are known to a twentieth. Where they begin is one code more or less, and of few that are left out as many as come
-    // by chance.
+    // Steps between levels are known to a twentieth. Their start adds or removes one code; if few are
+    // missing, their number scatters as by chance.
     let of_ends = one * (share / one).min(1.0).sqrt();
     (share, in_quadrature(&[0.05 * share, of_ends, of_knee]))
 }
 
-/// Of a table whose steps grow with the level.
+/// Returns the expectation for a table whose steps grow with the level.
 fn of_table(o: &Observable, view: &View<'_>, seen: &Filled) -> Expected {
     let offset_dn = view.prediction.base.offset_dn;
     let mut steps: Vec<(f64, f64)> =
         (view.prediction.sets.iter()).map(|s| (s.signal + offset_dn, 1.0 / s.codes_used.max(1e-3))).collect();
     steps.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // Step at a level, and how far apart those of the levels around it are.
+    // Step at a level, and the difference between the steps of the levels around it.
     let step = |level: f64| {
         let after = steps.partition_point(|s| s.0 < level);
         let (Some(b), Some(a)) = (steps.get(after).or(steps.last()), steps.get(after.saturating_sub(1)))
@@ -123,7 +128,7 @@ mod tests {
     use super::super::codes::gaps;
     use super::share_of;
 
-    /// Rounded tables of even steps and of square roots: what is left out is what is expected, and the error covers it.
+    /// Rounded tables of even steps and of square roots leave out the expected share, within its error.
     #[test]
     fn tables_leave_out_what_is_expected() {
         let (mut squares, mut tables) = (0.0, 0.0);

@@ -1,8 +1,8 @@
-//! Variance of the gradient and the curvature of frames down the rows and across the columns, DN^2: whether what
-//! moves whole frames moves them alike.
+//! Variance of the gradient and the curvature of frames down the rows and across the columns, DN^2: it shows
+//! if the common noise of whole frames differs across the field.
 //!
-//! Each is the mean product of a frame's deviations with a cosine of mean square 1 (half a turn or one turn over
-//! all lines), so that of independent pixels it has the variance of the frame's mean.
+//! Each value is the mean product of a frame's deviations with a cosine of mean square 1 (half a turn or one
+//! turn over all lines). For independent pixels it has the variance of the frame's mean.
 
 use super::expect::{FIELD, line_mean};
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
@@ -10,16 +10,16 @@ use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use radcam_sim::predict::{SHAPES, cosine, cosine_power};
 
-/// The scatter of the frames' shape.
+/// Scatter of the shape of the frames.
 #[derive(Debug)]
 pub struct Gradient;
 
-/// Half turns of the cosine of each.
+/// Half turns of each cosine.
 pub(super) const HALF_TURNS: [u32; SHAPES] = [1, 2];
-/// Part of the variance of a moving level that may be unlike the field (a named choice).
+/// Share of the variance of a moving level that may differ from the field (a named choice).
 const UNLIKE: f64 = 0.3;
 
-/// Mean product of values of lines with the cosine of so many half turns, of mean square 1.
+/// Returns the mean product of line values with the cosine of this number of half turns, of mean square 1.
 pub(super) fn product(lines: impl ExactSizeIterator<Item = f64>, halves: u32) -> f64 {
     let n = lines.len().max(1);
     lines.enumerate().map(|(y, v)| v * cosine(halves, y, n)).sum::<f64>() / n as f64
@@ -94,7 +94,7 @@ impl Statistic for Gradient {
         let own = lines + ripples + interference + shapes[o.index % SHAPES];
         let value = pixels / o.pixels + own + light + moved;
         let single = in_quadrature(&[s.unsure_var, s.unsure_own, view.rough.1]) / o.pixels;
-        // Where the light's scatter is added to noise, a square scatters by both.
+        // If the scatter of the light is added to noise, a square scatters by both.
         Expected::of_few(o, value + 1e-9, view.dof).unsure(in_quadrature(&[
             single,
             2.0 * FIELD * light,
@@ -108,8 +108,7 @@ impl Statistic for Gradient {
 mod tests {
     use super::*;
 
-    /// A tilt is a gradient and no curvature, a bowl the reverse: within some per cent of what a cosine takes of
-    /// them.
+    /// A tilt is a gradient without curvature; a bowl is the reverse.
     #[test]
     fn a_tilt_and_a_bowl_are_told_apart() {
         let at = |y: u32| (f64::from(y) + 0.5) / 50.0 - 1.0;

@@ -1,8 +1,8 @@
-//! Growth of the neighbours' covariance across the sensor, along rows (0) and columns (1), DN^2.
+//! Growth of the covariance of neighbours across the sensor, along rows (0) and columns (1), DN^2.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, covariance, in_quadrature};
 
-/// What one end has more than the other.
+/// Difference between the two ends of the sensor.
 #[derive(Debug)]
 pub struct Growth;
 
@@ -28,7 +28,7 @@ impl Statistic for Growth {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
         let growth = if o.index == 0 { s.growth.0 } else { s.growth.1 };
-        // Of pixels that are not alike it is not known how unlike they are.
+        // The inequality of unequal pixels is not known.
         let noise = (view.noise * view.noise).max(f64::MIN_POSITIVE);
         let own = o.measured.std_err * (view.unlike().powi(2) + s.unsure / noise).sqrt();
         let std_err = in_quadrature(&[own, 0.3 * view.moving, 2.0 * view.shared(1, 1)]);

@@ -1,14 +1,16 @@
-//! Variance of what the halves of a frame differ by, DN^2: upper and lower, left and right. Whether the sensor is read and lit as one.
+//! Variance of the difference between the halves of a frame, DN^2: upper and lower, left and right. It shows
+//! if the sensor is read and lit as one.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 
-/// The difference of the halves; rows, then columns.
+/// Difference of the halves: of rows, then of columns.
 #[derive(Debug)]
 pub struct Halves;
 
-/// Mean of the second half of some numbers less that of the first; a line in the middle belongs to neither.
+/// Returns the mean of the second half of some numbers minus that of the first; a line in the middle belongs
+/// to neither.
 fn difference(values: impl ExactSizeIterator<Item = f32>) -> f64 {
     let (n, half) = (values.len(), values.len() / 2);
     let of = |(i, v): (usize, f32)| match i {
@@ -55,7 +57,7 @@ impl Statistic for Halves {
         let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
         let (rows, columns) = view.all.campaign.shape;
         let pixels = s.shot.of_mean() * view.left.0 + s.read.of_mean() * view.left.1;
-        // The mean of each half has twice the variance of that of all, and there are two.
+        // The mean of a half has twice the variance of the mean of all, and there are two halves.
         let own = 4.0 * pixels / o.pixels;
         let (lines, common) = if o.index == 0 {
             // With V of a half and W of the whole, W = (V + C) / 2: 2 V - 2 C = 4 (V - W).
@@ -64,7 +66,8 @@ impl Statistic for Halves {
         } else {
             (4.0 * s.column.of_mean() / columns as f64, 0.0)
         };
-        // What all frames share is brighter where the light is: halves differ by no more than pixels do.
+        // Noise common to whole frames is proportional to the local light: halves differ by no more than
+        // pixels do.
         let field = view.with_light * view.all.field.halves[o.index.min(1)];
         let rest = if s.common > 0.0 { s.common - s.with_light } else { 0.0 };
         let shading = view.all.largest_spread.powi(2) * (rest.max(0.0) + view.moved) + 0.1 * field;
@@ -80,8 +83,8 @@ mod tests {
     use super::difference;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Of independent lines the difference of the means of both halves has four times the variance of the mean of all: within five standard
-    /// errors over 4000 draws. A line in the middle is in neither half.
+    /// For independent lines the difference of the means of both halves has four times the variance of the
+    /// mean of all, within five standard errors over 4000 draws. A line in the middle is in neither half.
     #[test]
     fn halves_differ_by_four_times_the_variance_of_the_mean() {
         let square = |draw: u32| {

@@ -1,13 +1,14 @@
-//! Kurtosis of the noise: whether the deviations of the pixels are normal.
+//! Kurtosis of the noise: a test of normality of the pixel deviations.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 
-/// Square of a normal number that chance passes once in a hundred thousand.
+/// Square of a normal number that is exceeded once in a hundred thousand draws.
 const RARE: f64 = 19.5;
 
-/// The fourth power of the deviations over the square of their variance, over all pixels and frames; 3 for normal noise.
+/// Fourth power of the deviations over the square of their variance, over all pixels and frames; 3 for normal
+/// noise.
 #[derive(Debug)]
 pub struct Kurtosis;
 
@@ -25,7 +26,7 @@ impl Statistic for Kurtosis {
     }
 
     fn add(&self, image: &[f32], _: &Lines, layout: &Layout, sums: &mut [f64]) {
-        // Eight sums side by side, a row at a time, lose nothing that counts.
+        // Eight partial sums per row are precise enough in 32 bits.
         let row = |row: &[f32]| {
             let (eights, rest) = row.as_chunks::<8>();
             let mut sums = [0f32; 8];
@@ -52,12 +53,13 @@ impl Statistic for Kurtosis {
         let Some(s) = view.set() else { return Expected::plain(o, 3.0, 1.0) };
         let variance = view.noise.max(1e-9);
         let square = variance * variance;
-        // The deviation of frame k from the mean of those before it, scaled to the variance of a frame, has ((k - 1) / k)^2 (1 + 1 / (k - 1)^3)
-        // of the fourth cumulant of a frame.
+        // The deviation of frame k from the mean of those before it, scaled to the variance of a frame, has
+        // the fourth cumulant of a frame times ((k - 1) / k)^2 (1 + 1 / (k - 1)^3).
         let of_frame = |k: f64| ((k - 1.0) / k).powi(2) * (1.0 + (k - 1.0).powi(-3));
         let kept = (2..=view.frames.len().max(2)).map(|k| of_frame(k as f64)).sum::<f64>() / view.dof;
-        // That deviation has the weights w of frame k, w^2 = (k - 1) / k, and -w / (k - 1) of each before: of the cumulants of two successive
-        // frames the pair that ends with k has one each way, and the k - 2 pairs before it.
+        // In that deviation frame k has the weight w, w^2 = (k - 1) / k, and each frame before it -w / (k -
+        // 1). The cumulants of two successive frames enter by the pair that ends with k, and by the k - 2
+        // pairs before it.
         let [three, two, one] = s.fourth_next;
         let of_pairs = |k: f64| {
             let earlier = -1.0 / (k - 1.0);
@@ -66,21 +68,22 @@ impl Statistic for Kurtosis {
             ((k - 1.0) / k).powi(2) * (last + before)
         };
         let pairs = (2..=view.frames.len().max(2)).map(|k| of_pairs(k as f64)).sum::<f64>() / view.dof;
-        // A Poisson number has its mean as every cumulant; a mean of several is nearer to a normal one.
+        // All cumulants of a Poisson number equal its mean; a mean of several is nearer to a normal one.
         let (shot, _) = view.pixels();
         let poisson = shot * view.prediction.base.gain_dn_per_e.powi(2);
-        // Pixels with more light have more shot noise, and some have more dark current.
+        // Pixels with more light have more shot noise, and some pixels have more dark current.
         let set = view.at.map(|i| &view.all.campaign.sets[i]);
         let uneven = set.map_or(0.0, |info| (shot * info.spread).powi(2));
         let dark =
             view.at.map_or(0.0, |i| view.all.dark_spread_dn2[i]) * view.prediction.base.gain_dn_per_e.powi(2);
-        // A sine of random phase has -3/2 of the square of its variance.
+        // The fourth cumulant of a sine of random phase is -3/2 of the square of its variance.
         let sine = s.ripples.iter().map(|r| r.0 * r.0).sum::<f64>();
         let own = 3.0 * (s.unequal + uneven + 0.5 * dark) + kept * (s.fourth + poisson) + pairs;
-        // The mean of n fourth powers of normal numbers, over the square of their variance, has the variance 24 sum(rho^4) / n: what scatters
-        // is the fourth Hermite polynomial, whose covariance is 24 rho^4 (Mehler 1866; Cramer 1946, 27.4, for independent numbers).
+        // The mean of n fourth powers of normal numbers, over the square of their variance, has the variance
+        // 24 sum(rho^4) / n: its scatter is that of the fourth Hermite polynomial, whose covariance is 24
+        // rho^4 (Mehler 1866; Cramer 1946, 27.4, for independent numbers).
         let rho = |c: f64| (c / variance).powi(4);
-        // The covariance at a lag is that at the opposite one.
+        // The covariance at a lag equals that at the opposite lag.
         let below = (1..=2).flat_map(|y| (-2..=2).map(move |x| (y, x)));
         let half: f64 = [(0, 1), (0, 2)].into_iter().chain(below).map(|(y, x)| rho(view.lag(y, x))).sum();
         let neighbours = rho(view.lag(0, 0)) + 2.0 * half;
@@ -92,11 +95,11 @@ impl Statistic for Kurtosis {
         let later: f64 = s.shot_memory.iter().chain(&s.read_memory).map(|r| 2.0 * r.powi(4)).sum();
         let alike = (neighbours + lines + waves) * (1.0 + later);
         let dof = o.pixels * view.dof;
-        // Of pixels whose variances V have mean 1 the fourth power less 6 E V^2 of the square scatters by 96 E
-        // V^4 + 72 (E V^2)^3 - 144 E V^2 E V^3: 24 where they are alike (moments of normal numbers: 105 - 9, 2
-        // and 15 - 3).
+        // For pixels whose variances V have mean 1, the fourth power minus 6 E V^2 of the square scatters by
+        // 96 E V^4 + 72 (E V^2)^3 - 144 E V^2 E V^3: 24 if they are equal (moments of normal numbers: 105 -
+        // 9, 2 and 15 - 3).
         let [two, three, four] = view.unequal().1;
-        // A single sample of the noisiest pixel, at a chance of one in a hundred thousand, is to lie within as
+        // A single sample of the noisiest pixel, at a chance of one in a hundred thousand, must lie within as
         // many standard errors.
         let noisiest = view.noisiest();
         let single = if noisiest > 1.5 { (noisiest * RARE).powi(2) / dof / RARE.sqrt() } else { 0.0 };
@@ -121,11 +124,11 @@ impl Statistic for Kurtosis {
     }
 }
 
-/// Excess of the kurtosis by a shape that every frame takes anew, over the square of its share of the noise: what
-/// n independent frames have less of it than many, and its scatter. With A2 and A4 the mean square and fourth
-/// power of n normal numbers, and 1/2 the variance of the square of a cosine, it is 3/2 A4 - 3 A2^2, whose mean
-/// is 3/2 - 6 / n and whose variance is 72 / n for many (moments of normal numbers: 1, 3, 15, 105), three times
-/// that for one.
+/// Returns the change of the excess kurtosis due to a shape drawn anew in every frame, for n independent
+/// frames instead of many, and its scatter, over the square of its share of the noise. With A2 and A4 the
+/// mean square and fourth power of n normal numbers, and 1/2 the variance of the square of a cosine, the
+/// excess is 3/2 A4 - 3 A2^2. Its mean is 3/2 - 6 / n, and its variance is 72 / n for many frames (moments of
+/// normal numbers: 1, 3, 15, 105), three times that for one.
 fn of_field(n: f64) -> (f64, f64) {
     (-6.0 / n, (72.0 * (1.0 + 2.0 / n) / n).sqrt())
 }
@@ -136,8 +139,8 @@ mod tests {
     use ndarray::Array2;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Mean of the excess over 20 000 draws of few normal numbers: within five standard errors. Its scatter is no
-    /// more than is said, and at few frames no less than two fifths of it.
+    /// Mean of the excess over 20 000 draws of few normal numbers, within five standard errors. The scatter
+    /// does not exceed the stated one by more than a tenth, and at few frames is at least two fifths of it.
     #[test]
     fn few_frames_show_a_field_as_they_come() {
         for n in [1u32, 3, 7, 15] {
@@ -158,8 +161,9 @@ mod tests {
         }
     }
 
-    /// Of 400 lists of four frames of normal numbers, as deviations from the mean of those before: the mean and the variance of the kurtosis
-    /// within five standard errors of 3 n / (n + 2) and 24 / n, n the degrees of freedom of all pixels.
+    /// Kurtosis of 400 lists of four frames of normal numbers, as deviations from the mean of those before.
+    /// Its mean and variance agree with 3 n / (n + 2) and 24 / n within five standard errors, n the degrees
+    /// of freedom of all pixels.
     #[test]
     fn of_normal_noise_it_scatters_as_it_says() {
         let (side, frames, lists) = (24usize, 4u32, 400u32);

@@ -1,9 +1,10 @@
-//! Beside a scene's bright patch, against the background away from it: the short exposure scaled up less the long one, DN.
+//! Leak beside the bright patch of a scene, relative to the background away from it: the short exposure
+//! scaled up minus the long one, DN.
 
 use super::{Direction, Expected, HalfView, Observable, Put, ScenePair, Statistic, View, in_quadrature};
 use radcam_sim::predict::Prediction;
 
-/// What leaks out, for each of [`Direction::ALL`].
+/// Leak in each of [`Direction::ALL`].
 #[derive(Debug)]
 pub struct Leak;
 
@@ -40,13 +41,14 @@ impl Statistic for Leak {
             scene.map_or(0.0, |s| f(s, way(o.index), view.prediction))
         };
         let (leak, unsure) = (of(ScenePair::expected), of(ScenePair::unsure));
-        // A step between taps that lies beside the patch drops out of the difference in proportion to the light; a constant one does where every
-        // pixel has a zero of its own. Darks that code 0 clips have none.
+        // A step between taps beside the patch cancels in the difference if it is in proportion to the light.
+        // A constant step cancels if every pixel has a zero of its own, which darks clipped at code 0 do not
+        // show.
         let base = &view.prediction.base;
         let clipped = base.offset_dn < 4.0 * base.read_noise_e * base.gain_dn_per_e + 1.0;
         let step: f64 = view.prediction.taps.iter().map(|(_, offset)| offset.abs()).sum();
         let step = scene.map_or(0.0, |s| s.zero_scaled(clipped)) * step;
-        // Nor are the rows of the patch and of the background under the same light where that ripples.
+        // Under a light that ripples, the rows of the patch and of the background differ in light too.
         let ripple = view
             .prediction
             .sets

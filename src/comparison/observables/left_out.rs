@@ -6,7 +6,7 @@ use crate::statistics::outliers;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-/// Frames and samples that were left out, in words.
+/// Describes the frames and samples that were left out.
 pub(super) fn words(dataset: &Dataset, left_out: &[(usize, LeftOut)]) -> Vec<String> {
     let name = |set: usize, place: usize| {
         let set = &dataset.sets()[set];

@@ -1,6 +1,7 @@
-//! The strongest peak of the spectrum of line means, over all frames of a campaign: a ripple down the rows or
-//! stripes of columns, far weaker than the noise of one frame, stand out of the sum over hundreds. Away from
-//! the peak a spectrum is smooth whatever filters and crosstalk do, so that what lies beside it is taken off.
+//! Strongest peak of the spectrum of line means, over all frames of a campaign. A ripple down the rows or a
+//! stripe pattern of the columns, far weaker than the noise of one frame, stands out of the sum over
+//! hundreds. Away from the peak a spectrum is smooth, whatever filters and crosstalk there are, so the power
+//! beside the peak is subtracted.
 
 use super::campaign::is_quiet;
 use super::read::Chunk;
@@ -11,16 +12,16 @@ use crate::statistics::median::median;
 use radcam_sim::predict::{Ripple, SHAPES, SetPrediction, cosine_power};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-/// Bins beside a peak, on either side, that tell the spectrum without it: 1.5 to 5 cycles over all lines
+/// Bins beside a peak, on either side, that give the spectrum without it: 1.5 to 5 cycles over all lines
 /// away.
 const BESIDE: std::ops::RangeInclusive<usize> = 6..=20;
-/// Lowest bin that is one of those: two cycles over all lines.
+/// Lowest of these bins: two cycles over all lines.
 const LOWEST: usize = 2 * PADDED;
-/// Slowest ripple that is looked at, in cycles over all lines: fields that tilt and breathe lie below it (a
-/// named choice).
+/// Slowest ripple searched, in cycles over all lines: fields that tilt and breathe lie below it (a named
+/// choice).
 const SLOWEST: usize = 3;
-/// Chance that noise has such a peak somewhere in a spectrum, below which it is one (a named choice: two
-/// spectra a campaign give one false peak in fifty thousand campaigns).
+/// Maximum chance that noise has such a peak anywhere in a spectrum (a named choice: two spectra a campaign
+/// give one false peak in fifty thousand campaigns).
 const CHANCE: f64 = 1e-5;
 
 /// Axis of the lines whose means are taken.
@@ -32,7 +33,7 @@ pub enum Axis {
     Columns,
 }
 
-/// Which frames a value is made of.
+/// Frames that a value is made of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Group {
     /// Darks.
@@ -62,7 +63,7 @@ impl Group {
     }
 }
 
-/// Name of the value of a group. `line`: "row" or "column".
+/// Returns the name of the value of a group. `line`: "row" or "column".
 pub(super) fn name(line: &str, index: usize) -> String {
     format!("strongest peak in the spectrum of {line} means, {}", Group::of(index).words())
 }
@@ -73,9 +74,9 @@ struct Part {
     set: usize,
     half: Half,
     group: Group,
-    /// Weight of its power in the sums of its group.
+    /// Weight of the power in the sums of the group.
     weight: f64,
-    /// Power at the peak beyond that beside it, DN^2.
+    /// Power at the peak in excess of that beside it, DN^2.
     beyond_dn2: f64,
     /// Variance of a line's mean, DN^2: power of white noise.
     noise_dn2: f64,
@@ -88,17 +89,17 @@ impl Part {
     }
 }
 
-/// A peak that noise does not make.
+/// Peak that noise does not make.
 #[derive(Debug, Clone)]
 pub struct Peak {
     axis: Axis,
-    /// Place among the bins, each a quarter of a cycle over all lines.
+    /// Bin of the peak; each bin is a quarter of a cycle over all lines.
     bin: usize,
     /// Number of bins.
     bins: usize,
     /// Number of lines.
     lines: usize,
-    /// Its frequency between bins, cycles per line.
+    /// Frequency of the peak between bins, cycles per line.
     pub cycles: f64,
     parts: Vec<Part>,
 }
@@ -108,7 +109,7 @@ struct Spectrum<'a> {
     set: usize,
     half: Half,
     frames: f64,
-    /// Power of each bin over the number of lines: the variance of a line's mean where noise is white, DN^2.
+    /// Power of each bin over the number of lines: the variance of a line's mean if noise is white, DN^2.
     power: &'a [f64],
     is_dark: bool,
     exposure_s: f64,
@@ -116,8 +117,8 @@ struct Spectrum<'a> {
     noise_dn2: f64,
 }
 
-/// The strongest peak of all frames, or `None` where noise alone may have made it. `place`: of the power of
-/// each bin among a chunk's sums.
+/// Finds the strongest peak of all frames; `None` if noise alone may have made it. `place`: index of the
+/// power of the bins among a chunk's sums.
 pub(super) fn find(
     chunks: &[Chunk],
     settings: &[FrameRow],
@@ -149,12 +150,12 @@ pub(super) fn find(
     let all: Vec<Spectrum<'_>> = of.collect();
     let first = PADDED * SLOWEST;
     let bins = all.iter().map(|s| s.power.len()).min()?;
-    // Half a cycle a line is that of odd and even lines.
+    // Half a cycle per line belongs to odd and even lines.
     let looked_at = first..bins.saturating_sub(PADDED / 2);
     if bins < first + BESIDE.end() {
         return None;
     }
-    // Ripples of one size in all frames, and of rows those in proportion to the light.
+    // Two models: ripples of one size in all frames, and for rows also ripples in proportion to the light.
     let additive = |s: &Spectrum<'_>| s.noise_dn2.powi(-2);
     let of_light = |s: &Spectrum<'_>| if s.is_dark { 0.0 } else { (s.signal_dn / s.noise_dn2).powi(2) };
     let mut found = strongest(&all, lines, bins, looked_at.clone(), additive);
@@ -192,33 +193,33 @@ pub(super) fn find(
     Some(Peak { axis, bin, bins, lines, cycles, parts: all.iter().map(part).collect() })
 }
 
-/// Variance of a line's mean without peaks, DN^2, from the median of the bins: with a peak in it, frames
-/// whose phases lie together would weigh most, and they show least of it.
+/// Returns the variance of a line's mean without peaks, DN^2, from the median of the bins. With a peak in it,
+/// frames with similar phases would have the largest weight, and they show least of the peak.
 fn noise_of(power: &[f64], lines: usize, frames: f64) -> f64 {
-    // Power of noise over n frames is of chi^2 with 2 (n - 1) degrees of freedom; its median by Wilson and
-    // Hilferty 1931.
+    // The power of noise over n frames follows chi^2 with 2 (n - 1) degrees of freedom; its median is by
+    // Wilson and Hilferty 1931.
     let of_median = (1.0 - 1.0 / (9.0 * (frames - 1.0).max(1.0))).powi(3);
     median(power.iter().skip(LOWEST).copied()) / (lines as f64 * of_median)
 }
 
-/// Bins beside one, of so many.
+/// Returns the bins beside one, for this number of bins.
 fn beside(bin: usize, bins: usize) -> impl Iterator<Item = usize> {
     let below = BESIDE.rev().filter_map(move |d| bin.checked_sub(d)).filter(|k| *k >= LOWEST);
     below.chain(BESIDE.map(move |d| bin + d).filter(move |k| *k < bins))
 }
 
-/// Independent values among the bins beside one: one a cycle over all lines.
+/// Returns the number of independent values among the bins beside one: one per cycle over all lines.
 fn independent(bin: usize, bins: usize) -> f64 {
     beside(bin, bins).count() as f64 / PADDED as f64
 }
 
-/// Mean of the values beside a bin.
+/// Returns the mean of the values beside a bin.
 fn mean_beside(bin: usize, bins: usize, of: impl Fn(usize) -> f64) -> f64 {
     beside(bin, bins).map(of).sum::<f64>() / beside(bin, bins).count().max(1) as f64
 }
 
-/// The bin that stands out most of the weighted sum of all spectra: the chance that noise has such a peak
-/// anywhere in it, the bin, and its frequency between bins in cycles a line.
+/// Finds the bin that stands out most of the weighted sum of all spectra. Returns the chance that noise has
+/// such a peak anywhere in it, the bin, and its frequency between bins in cycles per line.
 fn strongest(
     all: &[Spectrum<'_>],
     lines: usize,
@@ -227,7 +228,7 @@ fn strongest(
     weight: impl Fn(&Spectrum<'_>) -> f64,
 ) -> Option<(f64, usize, f64)> {
     let mut power = vec![0.0; bins];
-    // Sum of the weights of noise, and of their squares over the degrees of freedom.
+    // Sum of the weighted noise, and of its squares over the degrees of freedom.
     let (mut sum, mut square) = (0.0, 0.0);
     for s in all {
         let dof = s.frames - 1.0;
@@ -239,15 +240,15 @@ fn strongest(
     let frames = sum * sum / square;
     let ratio = |k: usize| power[k] / mean_beside(k, bins, |k| power[k]);
     let bin = looked_at.clone().max_by(|a, b| ratio(*a).total_cmp(&ratio(*b)))?;
-    // Power of normal noise is exponential, so that sums are of chi^2 with two degrees of freedom a frame,
-    // and their ratio is F.
+    // Power of normal noise is exponential. Sums of it follow chi^2 with two degrees of freedom per frame,
+    // and their ratio follows F.
     let law = FisherSnedecor::new(2.0 * frames, 2.0 * independent(bin, bins) * frames).ok()?;
     let tries = looked_at.len() as f64 / 2.0;
     Some((tries * law.sf(ratio(bin)), bin, refined(&power, bin) / (PADDED * lines) as f64))
 }
 
 impl Peak {
-    /// Puts the values of one half: one a group, the mean power beyond that beside the peak.
+    /// Puts the values of one half: for each group, the mean power in excess of that beside the peak.
     pub(super) fn put(&self, half: Half, put: &mut Put<'_>) {
         for (index, group) in Group::ALL.into_iter().enumerate() {
             let parts = || self.parts.iter().filter(|p| p.half == half && p.group == group);
@@ -260,13 +261,13 @@ impl Peak {
         }
     }
 
-    /// Power that a prediction has there.
+    /// Returns the predicted power at the peak.
     pub(super) fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let parts = || self.parts.iter().filter(|p| p.half == o.half && p.group == Group::of(o.index));
         let (mut sum, mut value, mut var) = (0.0, 0.0, 0.0);
         let mut known = Vec::new();
         let of_shapes: [f64; SHAPES] = std::array::from_fn(|shape| {
-            // A cosine of the whole frame: the mean product with a sine of this turn, times the lines.
+            // A cosine of the whole frame: its mean product with a sine of this turn, times the lines.
             let (halves, lines) = (shape as u32 + 1, self.lines as f64);
             let turn = |bin: usize| std::f64::consts::TAU * bin as f64 / (PADDED as f64 * lines);
             let of = |bin: usize| lines * cosine_power(halves, lines, turn(bin));
@@ -276,7 +277,7 @@ impl Peak {
             let Some(s) = view.prediction.sets.get(p.set) else { continue };
             let power = self.beyond_dn2(s, view.all.campaign.shape, &mut known);
             let field = self.field_dn2(s, &of_shapes);
-            // One number a frame has the scatter of its square, and products with the noise.
+            // The square of one number per frame scatters, and so do its products with the noise.
             let of_field = 2.0 * field * field / p.dof() + (FIELD_SHAPE_ERROR_REL * field).powi(2);
             let with_noise = 4.0 * field.abs() * p.noise_dn2 / p.dof();
             sum += p.weight;
@@ -288,11 +289,11 @@ impl Peak {
         Expected::plain(o, value / sum, var.sqrt() / sum)
     }
 
-    /// Variance of a part's value as if what the variance of line means does not tell of the same frames
-    /// alone were in it, DN^4. Both see one sine with the phases that it had (random walk) and its products
-    /// with the noise of its own frequency, so that their errors are alike where it is strong: V with 1/V =
-    /// 1/(c + ab/(a + b)) - 1/(c + a), c what they share, a and b their own, is what the second of two
-    /// measurements adds to the first (Bevington and Robinson 2003, section 4.1).
+    /// Returns the variance of a part's value, DN^4, reduced to the information that the variance of line
+    /// means of the same frames does not have. Both see one sine with the phases that it had (random walk)
+    /// and its products with the noise of its own frequency, so their errors are alike if the sine is strong.
+    /// With c the shared variance and a and b those of each alone, the second of two measurements adds to the
+    /// first the information 1/V = 1/(c + ab/(a + b)) - 1/(c + a) (Bevington and Robinson 2003, section 4.1).
     fn beyond_line_variance(&self, p: &Part, power: f64) -> f64 {
         let noise = p.noise_dn2;
         let shared = power * power / (p.frames * p.dof()) + 2.0 * power * noise / p.dof();
@@ -302,8 +303,8 @@ impl Peak {
         (shared + both) * (shared + line) * (line + own) / (line * line)
     }
 
-    /// Power at the peak less that beside it, DN^2, of the ripples and lines of a set. `known` holds the
-    /// power of ripples of variance 1, which most sets share.
+    /// Returns the power at the peak in excess of that beside it, DN^2, of the ripples and lines of a set.
+    /// `known` holds the power of ripples of variance 1, which most sets share.
     fn beyond_dn2(
         &self,
         s: &SetPrediction,
@@ -332,17 +333,17 @@ impl Peak {
         of_lines.chain(of_rows).map(|(variance, ripple)| variance * of_one(ripple)).sum()
     }
 
-    /// Power of the field's shapes there, DN^2, from what each of variance 1 has.
+    /// Returns the power of the field's shapes at the peak, DN^2, from the power of each at variance 1.
     fn field_dn2(&self, s: &SetPrediction, of_shapes: &[f64; SHAPES]) -> f64 {
         let shapes = if self.axis == Axis::Rows { s.fields.down } else { s.fields.across };
         shapes.iter().zip(of_shapes).map(|(variance, power)| variance * power).sum()
     }
 }
 
-/// Part of the power of a field that its shape leaves open: it is no cosine (a named choice).
+/// Relative error of the power of a field due to its shape, which is no cosine (a named choice).
 const FIELD_SHAPE_ERROR_REL: f64 = 0.3;
 
-/// Power that a ripple of variance 1 has at a frequency, in the spectrum of so many lines.
+/// Returns the power of a ripple of variance 1 at a frequency, in the spectrum of this number of lines.
 fn power_of(ripple: Ripple, cycles: f64, lines: f64) -> f64 {
     match ripple {
         Ripple::Sine(own) => 0.5 * lines * (through(lines, cycles - own) + through(lines, cycles + own)),
@@ -354,8 +355,8 @@ fn power_of(ripple: Ripple, cycles: f64, lines: f64) -> f64 {
     }
 }
 
-/// Share of a sine's power that a sum over so many lines passes, so many cycles a line away (the kernel of
-/// Dirichlet; Oppenheim and Schafer, Discrete-Time Signal Processing, section 2.6).
+/// Returns the share of a sine's power that a sum over this number of lines passes, at a distance in cycles
+/// per line (Dirichlet kernel; Oppenheim and Schafer, Discrete-Time Signal Processing, section 2.6).
 fn through(lines: f64, cycles: f64) -> f64 {
     let half = std::f64::consts::PI * (cycles - cycles.round());
     if half.abs() < 1e-9 { 1.0 } else { ((lines * half).sin() / (lines * half.sin())).powi(2) }
@@ -371,8 +372,8 @@ mod tests {
     const SETS: usize = 12;
     const FRAMES: usize = 4;
 
-    /// Power of the deviations of some sets of line means with a sine of this amplitude, over the degrees of
-    /// freedom.
+    /// Draws some sets of line means with a sine of this amplitude. Returns the power of their deviations
+    /// over the degrees of freedom.
     fn drawn(run: u64, amplitude: f64, cycles: f64) -> Vec<Vec<f64>> {
         let mut random = PixelRng::new(31, Stream::Effect, run, 0, 0);
         let set = |_| {
@@ -412,9 +413,9 @@ mod tests {
         strongest(&spectra(powers), LINES, bins, PADDED * SLOWEST..bins - PADDED / 2, |_| 1.0).unwrap()
     }
 
-    /// The stated chance of a peak holds for noise: of 400 spectra as many as it says fall below 0.05, within
-    /// four standard errors, and none below the limit. A sine of a third of a line's noise, which shows in no
-    /// frame, is found in 40 of 40, at its frequency and with its power.
+    /// The stated chance of a peak holds for noise: the number of 400 spectra below 0.05 is as stated, within
+    /// four standard errors, and none lies below the limit. A sine of a third of a line's noise, which shows
+    /// in no frame, is found in 40 of 40 campaigns, at its frequency and with its power.
     #[test]
     fn chances_hold_and_weak_sines_are_found() {
         let chances: Vec<f64> = (0..400).map(|run| found(&drawn(run, 0.0, 0.1)).0).collect();
@@ -429,7 +430,7 @@ mod tests {
                 chance < CHANCE && (place - cycles).abs() * (LINES as f64) < 0.3,
                 "{cycles}: {chance:e} at {place}"
             );
-            // At the bin the sine has what the kernel passes, less what it leaves beside.
+            // At the bin the sine has the power that the kernel passes, minus that beside it.
             let sine = |k: usize| {
                 let away = k as f64 / (PADDED * LINES) as f64 - cycles;
                 0.25 * 0.33 * 0.33 * LINES as f64 * through(LINES as f64, away)
@@ -445,14 +446,14 @@ mod tests {
             z.push((mean - expected) / error);
         }
         let square = z.iter().map(|z| z * z).sum::<f64>() / z.len() as f64;
-        // The bin is the highest of some: half an error too high on average, and a square of 1.25; forty of
-        // them scatter by 0.3.
+        // The bin is the highest of some: on average half an error too high, which gives a square of 1.25.
+        // The mean of forty squares scatters by 0.3.
         assert!(square < 2.3, "{square} {z:?}");
     }
 
-    /// A strong sine weighs sets of few frames alike, whether their phases lie together or not: its weighted
-    /// power is that drawn, within four standard errors over 60 campaigns. Weighed by the variance of the
-    /// lines, the sine in it, it would be a fifth too low.
+    /// A strong sine has the same weight in sets of few frames with similar and with different phases: its
+    /// weighted power is that drawn, within four standard errors over 60 campaigns. If the weights came from
+    /// the variance of the lines, with the sine in it, the power would be a fifth too low.
     #[test]
     fn phases_that_lie_together_weigh_no_more() {
         let cycles = 20.0 / LINES as f64;

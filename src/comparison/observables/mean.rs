@@ -2,12 +2,12 @@
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 
-/// Error of the light of a set at least, relative, whatever the lamp (a named choice: an LED's light falls
-/// by some 1e-3 per kelvin, so that a tenth of a kelvin is as much; a bend or a drift of 0.01 % costs nobody
+/// Minimum relative error of the light of a set, for any lamp (a named choice: an LED's light falls by some
+/// 1e-3 per kelvin, so that a tenth of a kelvin is as much; a bend or a drift of 0.01 % costs nobody
 /// anything).
 const LAMP: f64 = 1e-4;
 
-/// The mean.
+/// Mean level of the frames.
 #[derive(Debug)]
 pub struct Mean;
 
@@ -43,7 +43,7 @@ impl Statistic for Mean {
         let noise = ((view.of_mean + s.common).max(0.0) * (1.0 + 2.0 * memory) / view.n).sqrt();
         let set = view.at.and_then(|at| view.all.campaign.sets.get(at));
         let lamp = if set.is_some_and(|set| set.light.is_some()) { LAMP * s.signal.max(0.0) } else { 0.0 };
-        // The sums are kept in 32 bits and means in some thousandths of a DN.
+        // The sums are kept in 32 bits, and means to some thousandths of a DN.
         Expected::plain(o, view.mean, in_quadrature(&[noise, 0.002, view.rough.0, s.unsure_mean, lamp]))
     }
 }

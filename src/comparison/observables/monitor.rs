@@ -1,8 +1,8 @@
-//! Reading of a light monitor, the logarithm: the true light of a set, in a unit of its own.
+//! Logarithm of the reading of a light monitor: the true light of a set, in a unit of its own.
 
 use super::{Expected, Observable, Statistic, View};
 
-/// The reading.
+/// Reading of the light monitor.
 #[derive(Debug)]
 pub struct Monitor;
 

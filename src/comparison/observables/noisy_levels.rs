@@ -1,5 +1,5 @@
-//! Kurtosis of the noisiest pixels above Pearson's bound in short darks: tells pixels that jump between two
-//! levels from noisy ones.
+//! Kurtosis of the noisiest pixels above Pearson's bound in short darks: it tells pixels that jump between
+//! two levels from noisy ones.
 
 use crate::statistics::steady::{LEAST_DN2, REACH};
 
@@ -12,46 +12,48 @@ pub struct NoisyLevels;
 /// Relative error of the expected value (a named choice): the share of jumping pixels among the noisiest is
 /// predicted roughly.
 const MODEL_ERROR_REL: f64 = 0.4;
-/// Largest change by rounding to whole codes: half of that of the kurtosis of noise of a code (-1/120 over
+/// Maximum change by rounding to whole codes: half of that of the kurtosis of noise of a code (-1/120 over
 /// the square of 1/12 and the noise's variance).
 const ROUNDING: f64 = 0.01;
-/// Share of a value above 0 that is not known to be none.
+/// Error assigned to a value above 0, as a share of it.
 const ABOVE: f64 = 0.7;
-/// Value of two levels alone, the least there is.
+/// Value of two levels alone, the lowest possible one.
 const TWO_LEVELS: f64 = -1.0;
-/// Change by a code that is wider by a standard deviation of the noise (normal noise with a gap of 0.7
+/// Change due to a code that is wider by a standard deviation of the noise (normal noise with a gap of 0.7
 /// deviations in its middle: 0.42), for pixels within two deviations of it.
 const SPLIT: f64 = 0.6;
-/// Pixels whose jumps are this part of their variance and more are all among the noisiest (a named choice).
+/// Pixels whose jumps make up at least 1 / `CHOSEN` of their variance are all among the noisiest (a named
+/// choice).
 const CHOSEN: f64 = 1.3;
-/// Noise of less than a step makes two codes of a level, which look like two levels.
+/// Change due to noise of less than a step: two codes of a level look like two levels.
 const TWO_CODES: f64 = 1.0;
-/// Variance of a level between two codes whose noise is far less than a code, in codes squared: more than that is
-/// noise.
+/// Variance of a level between two codes whose noise is far less than a code, in codes squared; a larger
+/// variance is noise.
 const BETWEEN_CODES: f64 = 0.25;
-/// Noisy pixels have so many times the noise of others (sCMOS data sheets: up to some times the median).
+/// Ratio of the noise of noisy pixels to that of others (sCMOS data sheets: up to some times the median).
 const NOISY: f64 = 3.0;
-/// Value of noise of which a part is cut off, at most some tenths (a named choice).
+/// Change due to noise of which a part is cut off, at most some tenths (a named choice).
 const CUT_OFF: f64 = 0.25;
 
-/// Squared share of jumps of one variance in the variance of the noisiest pixels; `jumping`: jumping pixels
-/// per noisiest pixel.
+/// Returns the squared share of jumps of one variance in the variance of the noisiest pixels. `jumping`:
+/// jumping pixels per noisiest pixel.
 fn squared_share(jumping: f64, variance: f64, rest: f64) -> f64 {
-    // Pixels that jump are among the noisiest as far as their jumps stand out of the noise.
+    // Jumping pixels are among the noisiest as far as their jumps exceed the noise.
     let part = variance / (rest + variance);
-    // Weak jumps leave some of them among the others.
+    // Some pixels with weak jumps remain among the others.
     jumping_share(jumping) * (CHOSEN * part).min(1.0) * part * part
 }
 
-/// Share of jumping pixels among the noisiest: min(jumping, 1) without its kink, at which fits would end.
+/// Returns the share of jumping pixels among the noisiest: min(jumping, 1) without its kink, at which fits
+/// would end.
 fn jumping_share(jumping: f64) -> f64 {
     (1.0 + jumping.max(1e-9).powi(-4)).powf(-0.25)
 }
 
-/// [`squared_share`] for exponentially distributed amplitudes of mean A, with the mean variance A^2 / 2: the
-/// noisiest pixels have the largest amplitudes.
+/// Returns [`squared_share`] for exponentially distributed amplitudes of mean A and mean variance A^2 / 2:
+/// the noisiest pixels have the largest amplitudes.
 fn squared_share_exponential(jumping: f64, variance: f64, rest: f64) -> f64 {
-    /// Quantiles of the exponential distribution in the mean.
+    /// Number of quantiles of the exponential distribution in the mean.
     const VALUES: usize = 32;
     let beyond = jumping.max(1.0).ln();
     let of = |k: usize| {
@@ -124,8 +126,8 @@ impl Statistic for NoisyLevels {
             + unequal_codes
             + cut_off
             + if left_out { 1.0 } else { 0.0 };
-        // Above 0 lies what grows from set to set, as the shot noise of dark charge does: only what lies below
-        // tells of levels.
+        // Values above 0 are due to noise that grows from set to set, such as the shot noise of dark charge;
+        // only values below 0 indicate levels.
         let above = ABOVE * o.measured.value.max(0.0);
         Expected::plain(o, off, in_quadrature(&[o.measured.std_err, unsure, above]))
             .with_common(MODEL_ERROR_REL * off.abs())

@@ -1,9 +1,9 @@
-//! Codes whose bit toggles next against those before it, relative: how often they occur.
+//! Relative excess in occurrence of codes just before a low bit is set over those just before it is cleared.
 
 use super::codes::{LOW_BITS, occupancy_of};
 use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 
-/// The excess, for each of the low bits.
+/// Excess for each of the low bits.
 #[derive(Debug)]
 pub struct Occupancy;
 
@@ -31,7 +31,7 @@ impl Statistic for Occupancy {
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let codes = &view.all.codes[o.half.place()].range;
         let value = if view.even_codes() { 0.0 } else { occupancy_of(&|c| view.width(c), codes, o.index) };
-        // Where codes are left out by a table that follows the level, which of them is not predicted.
+        // If a table that follows the level leaves out codes, it is not predicted which ones.
         let table = if view.all_codes() { 0.0 } else { 2.0 };
         Expected::plain(o, value, in_quadrature(&[o.measured.std_err, table]))
     }

@@ -1,8 +1,8 @@
-//! Neighbours' covariance of odd columns (0), rows (1) less that of even ones, DN^2.
+//! Covariance of neighbours in odd columns (0) or rows (1) minus that in even ones, DN^2.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, covariance, in_quadrature};
 
-/// What odd lines have more than even ones.
+/// Difference between odd and even lines.
 #[derive(Debug)]
 pub struct Parity;
 

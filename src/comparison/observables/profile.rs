@@ -1,12 +1,12 @@
-//! Whether every level shows the same sensor: what is left of the profiles of rows and of columns once each line has an offset, a gain and a
-//! dark current, over what noise allows.
+//! Residual of the profiles of rows and of columns over all levels, relative to the noise, after a fit of one
+//! offset, gain and dark current per line. It shows levels that do not see the same sensor.
 
 use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::pass::Summary;
 use crate::statistics::profiles::{Profile, left_over};
 use radcam_sim::predict::SetPrediction;
 
-/// The mean square: of rows, then of columns.
+/// Mean square: of rows, then of columns.
 #[derive(Debug)]
 pub struct LineProfile;
 
@@ -25,7 +25,7 @@ impl Statistic for LineProfile {
 
     fn of_half(&self, half: &HalfView<'_>, put: &mut Put<'_>) {
         for axis in 0..2 {
-            // A scene leaves its picture behind in the next set.
+            // A scene leaves its image in the next set.
             let sets = half.chunks.iter().zip(&half.sets);
             let profiles: Vec<_> = sets
                 .filter(|(s, set)| !set.after_scene && set.in_main_field && s.frames > 2)
@@ -49,25 +49,26 @@ impl Statistic for LineProfile {
             }
             n += 1.0;
             value += correlated(s, USUAL_FRAMES);
-            // Lines whose pixels are noisier than others scatter more: over all of them the mean hardly moves.
+            // Lines of noisier pixels scatter more; the mean over all lines hardly changes.
             let telegraph = s.unequal.max(0.0).sqrt() / pixels as f64 / (pixels as f64).sqrt();
-            // A ripple whose phase moves slowly stays in the mean of a few frames.
+            // A ripple whose phase moves slowly remains in the mean of a few frames.
             let ripple =
                 if o.index == 0 { s.ripple(0.0) + s.fields.of_rows() } else { s.fields.of_columns() };
             unsure += USUAL_FRAMES * (s.uneven * s.uneven + telegraph + ripple) / noise;
         }
         let n = f64::max(n, 1.0);
         let expected = Expected::plain(o, value / n, in_quadrature(&[o.measured.std_err, unsure / n]));
-        // No effect predicts such a misfit: the fit must not bend everything else to excuse it.
+        // No effect predicts such a misfit, and the fit must not bend everything else to excuse it.
         let alone = (o.measured.value - 1.0).abs() > NOT_FITTED * o.measured.std_err;
         if alone { expected.with_tails(expected.std_err) } else { expected }
     }
 }
 
-/// Standard errors from which on a misfit of profiles is said and does not lead the fit (a named choice).
+/// Misfit of profiles, in standard errors, above which it is reported but does not lead the fit (a named
+/// choice).
 const NOT_FITTED: f64 = 20.0;
 
-/// Frames of a chunk, as most have them.
+/// Usual number of frames of a chunk.
 const USUAL_FRAMES: f64 = 4.0;
 
 fn of_summary(s: &Summary, zero_dn: f64, exposure_s: f64, axis: usize) -> Profile<'_> {
@@ -80,7 +81,7 @@ fn of_summary(s: &Summary, zero_dn: f64, exposure_s: f64, axis: usize) -> Profil
     }
 }
 
-/// Variance of the means of lines, DN^2.
+/// Returns the variance of the means of lines, DN^2.
 fn of_line(s: &SetPrediction, axis: usize, pixels: usize) -> f64 {
     let own = (s.shot.along(1 - axis) + s.read.along(1 - axis)) / pixels as f64;
     own + if axis == 0 {
@@ -90,7 +91,8 @@ fn of_line(s: &SetPrediction, axis: usize, pixels: usize) -> f64 {
     }
 }
 
-/// By how much the mean of so many frames scatters more than their scatter about it tells, for temporally correlated noise.
+/// Returns the ratio of the variance of the mean of this many frames to that expected from their scatter
+/// about it, for temporally correlated noise.
 fn correlated(s: &SetPrediction, frames: f64) -> f64 {
     let lost = |memory: &[f64]| -> f64 {
         memory.iter().enumerate().map(|(k, r)| (frames - (k + 1) as f64).max(0.0) * r).sum::<f64>() / frames

@@ -1,7 +1,7 @@
-//! Reads a campaign's frames: after a first look at every set, one pass over all of them.
+//! Reads the frames of a campaign: a first look at every set, then one pass over all frames.
 //!
-//! Memory holds some frames and their sums on each core, and as many decoded frames as fit into 256 MiB, however
-//! many there are.
+//! Memory use does not depend on the number of frames: each core holds some frames and their sums, and
+//! decoded frames take at most 256 MiB.
 
 use super::campaign::is_quiet;
 use super::left_out::words;
@@ -26,50 +26,51 @@ use std::sync::{Mutex, PoisonError};
 /// A set is cut into pieces of about this many frames, and into at most [`PIECES`].
 const PIECE: usize = 8;
 const PIECES: usize = 8;
-/// Share of clipped samples from which a set is not looked at.
+/// Share of clipped samples above which a set is excluded.
 const CLIPPED: f64 = 1e-3;
 
 /// Successive frames of a set with their statistics.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Chunk {
     pub set: usize,
-    /// Place of the first frame within the set.
+    /// Index of the first frame in the set.
     pub from: usize,
-    /// Which half of the campaign it belongs to.
+    /// Half of the campaign that the chunk belongs to.
     pub half: Half,
-    /// Mean of the frame before, where that is the first of the set, DN.
+    /// Mean of the frame before the chunk if that frame is the first of the set, DN.
     pub before: Option<f64>,
-    /// Share of the codes around the level that occur, and its error.
+    /// Share of occurring codes around the level, and its error.
     pub codes_used: Option<(f64, f64)>,
     pub summary: Summary,
-    /// Of short darks, until they are summed up: variance of every pixel, DN^2.
+    /// Variance of every pixel of short darks until they are summed up, DN^2.
     var_dn2: Vec<f32>,
-    /// Sums of powers of every pixel's deviations in the same frames, and its mean less that of the frames, DN.
+    /// Sums of powers of every pixel's deviations in the same frames, and the pixel's mean minus that of the
+    /// frames, DN.
     #[serde(default)]
     single: Option<(Powers, Vec<f32>)>,
 }
 
-/// Mean image of the frames of a scene that belong to one half, DN.
+/// Mean image of the frames of a scene in one half, DN.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SceneMean {
     pub set: usize,
     pub half: Half,
-    /// Places of its frames within the set.
+    /// Range of its frames in the set.
     #[serde(default)]
     pub frames: (usize, usize),
     pub mean_dn: Array2<f32>,
 }
 
-/// A set that is clipped, with the mean of its last frames.
+/// Clipped set with the mean of its last frames.
 #[derive(Debug, Clone, Copy)]
 pub struct Saturated {
     pub set: usize,
     pub level_dn: f64,
-    /// Places of these frames within the set.
+    /// Range of these frames in the set.
     pub frames: (usize, usize),
 }
 
-/// Everything that the frames say.
+/// Result of reading a campaign.
 pub struct Reading {
     pub layout: Layout,
     /// Level of the shortest darks, DN.
@@ -81,7 +82,7 @@ pub struct Reading {
     pub lines: [codes::LineSearch; 2],
     /// Covariance of the pixels' variances between short darks, DN^4.
     pub steady_dn4: Option<Value>,
-    /// The same of pixels two columns and two rows apart, DN^4.
+    /// Covariance of the variances of pixels two columns and two rows apart, DN^4.
     pub together_dn4: Option<[Value; 2]>,
     /// Distribution of the pixels' noise in short darks.
     pub pixel_noise: Option<PixelNoise>,
@@ -89,13 +90,13 @@ pub struct Reading {
     pub noisy_levels: [[Option<Levels>; 3]; 2],
     /// Code below which one in two hundred samples of the darks lies.
     pub darkest_dn: Option<f64>,
-    /// Sets that are clipped.
+    /// Clipped sets.
     pub saturated: Vec<Saturated>,
     /// Frames and samples that were left out, in words.
     pub left_out: Vec<String>,
 }
 
-/// A piece of work: frames `from..to` of a set.
+/// Piece of work: frames `from..to` of a set.
 #[derive(Debug, Clone, Copy)]
 struct Piece {
     set: usize,
@@ -105,8 +106,9 @@ struct Piece {
     before: bool,
 }
 
-/// Successive frames stay together, so that noise that runs from frame to frame stays on one side. In one set
-/// the first piece goes to half 0, in the next to half 1: both see what follows a change of level.
+/// Cuts the sets into pieces. Successive frames stay together, so that noise correlated from frame to frame
+/// stays in one half. The first piece of one set goes to half 0, that of the next set to half 1: both halves
+/// see what follows a change of level.
 fn pieces(dataset: &Dataset) -> Vec<Piece> {
     let sets = dataset.sets();
     let kinds: Vec<Kind> = sets.iter().map(|s| dataset.settings(s).kind).collect();
@@ -121,8 +123,8 @@ fn pieces(dataset: &Dataset) -> Vec<Piece> {
         let after_scene = set > 0 && still(set - 1);
         for (number, start) in (0..frames).step_by(size).enumerate() {
             let to = (start + size).min(frames);
-            // The first frame after a change carries what came before, pixel by pixel: it has a statistic of its
-            // own. A scene leaves its picture behind for longer than a flat.
+            // The first frame after a change carries the level before, pixel by pixel; it has a statistic of
+            // its own. A scene persists for longer than a flat.
             let skip = match to - start {
                 _ if still(set) || number > 0 => 0,
                 _ if after_scene && count > 1 => continue,
@@ -137,14 +139,14 @@ fn pieces(dataset: &Dataset) -> Vec<Piece> {
     out
 }
 
-/// Frames from which on a set is cut into pieces for both halves.
+/// Minimum number of frames of a set that is cut into pieces for both halves.
 const CUT: usize = 6;
 
-/// Smallest share of the sets of a kind that each half has, of those that are not cut (a named choice).
+/// Minimum share of the sets of a kind in each half, of those that are not cut (a named choice).
 const SHARE: f64 = 0.25;
 
-/// Whose turn it is with every set: they take turns, unless that gives nearly all darks to one half and nearly
-/// all flats to the other, as where each flat is followed by its dark. Then they take turns in each kind.
+/// Assigns the sets to the halves in turn. If that gives nearly all darks to one half and nearly all flats to
+/// the other, as when each flat is followed by its dark, the turns are taken within each kind.
 fn turns(kinds: &[Kind], cut: &[bool]) -> Vec<usize> {
     let one_sided = |kind: Kind| {
         let of_kind = || (0..kinds.len()).filter(|s| kinds[*s] == kind && !cut[*s]);
@@ -157,17 +159,17 @@ fn turns(kinds: &[Kind], cut: &[bool]) -> Vec<usize> {
     (0..kinds.len()).map(|s| kinds[..s].iter().filter(|k| **k == kinds[s]).count()).collect()
 }
 
-/// What the frames of a piece say.
+/// Result of reading one piece.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub enum Work {
     Scene(SceneMean),
     Noise(Option<Box<Chunk>>),
-    /// Set, mean, DN, and the places of the frames that it is of.
+    /// Set, mean in DN, and range of the frames averaged.
     Clipped(usize, f64, usize, usize),
 }
 
 impl Work {
-    /// Whether it can be of frames of (rows, columns) with codes up to a full scale.
+    /// Returns true if the result fits frames of (rows, columns) with codes up to a full scale.
     pub fn fits(&self, shape: (usize, usize), full_scale_dn: u16) -> bool {
         let c = match self {
             Self::Scene(scene) => return scene.mean_dn.dim() == shape,
@@ -188,41 +190,41 @@ impl Work {
     }
 }
 
-/// What a piece has that is no part of the campaign.
+/// Frames and samples excluded from a piece.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct LeftOut {
-    /// Places in the set of frames that lie far from the others.
+    /// Indices in the set of frames that lie far from the others.
     pub(super) frames: Vec<usize>,
-    /// Pixels of struck samples, and the frames' places.
+    /// Pixels of struck samples, with the frame indices.
     pub(super) struck: Vec<(usize, usize)>,
-    /// Whether a sample was taken for a struck one at any time: where not, the piece says the same if none may
-    /// be.
+    /// True if any sample was taken for a struck one. Otherwise the result is the same without removal of
+    /// struck samples.
     cleaned: bool,
 }
 
 impl LeftOut {
-    /// Whether it can be of frames of so many pixels.
+    /// Returns true if the list fits frames of this many pixels.
     pub fn fits(&self, pixels: usize) -> bool {
         self.struck.iter().all(|s| s.0 < pixels)
     }
 }
 
-/// What all pieces are read with.
+/// Context for reading all pieces.
 struct Reader<'a, 'b> {
     dataset: &'a Dataset,
     layout: &'b Layout,
-    /// What pieces that were read elsewhere must have been read with.
+    /// Digest that pieces read elsewhere must share: the first look and the statistics.
     under: String,
     pool: Mutex<Vec<Pass<'b>>>,
     stop: &'a AtomicBool,
     usual: outliers::Usual,
     zero_dn: f64,
-    /// Whether samples that stand out are taken for struck ones.
+    /// True if samples that stand out are removed as struck ones.
     clean: bool,
     /// Longest exposure of flats, s.
     longest_lit_s: f64,
     quiet_dark_dn2: f64,
-    /// The first look at each set.
+    /// First look at each set.
     looks: &'b [Look],
 }
 
@@ -256,7 +258,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         Key { from: p.from, to: p.to, before: p.before, clean, under: self.under.clone(), ..set }
     }
 
-    /// What was kept of a piece, where it was read under the same look and all its numbers are there.
+    /// Returns the recorded result of a piece if it was read under the same look and is complete.
     fn known(&self, p: &Piece) -> Option<(Work, LeftOut)> {
         let reduced = self.dataset.reduced()?;
         let cleaned =
@@ -296,7 +298,7 @@ impl<'a, 'b> Reader<'a, 'b> {
                 out,
             ));
         }
-        // Fresh pages cost as much as the frames: passes are used again.
+        // Passes are recycled: fresh memory pages cost as much as the frames.
         let free = || self.pool.lock().unwrap_or_else(PoisonError::into_inner);
         let mut pass = free().pop().unwrap_or_else(|| Pass::with(self.layout, SUMMED));
         pass.of_single_pixels(self.is_short_dark(p.set));
@@ -304,7 +306,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         let work = loop {
             let outlier = self.add(p, from..to, kind == Kind::Dark, &mut pass, &mut out)?;
             let Some(outlier) = outlier else { break self.summarise(p, from, &mut pass, &mut out) };
-            // The longer run of frames without it is what the piece is made of.
+            // The piece keeps the longer run of frames without the outlier.
             out.frames.push(outlier);
             out.struck.clear();
             pass.clear();
@@ -322,7 +324,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         Ok((work?, out))
     }
 
-    /// Adds frames to a pass, until one lies far from the others: its place.
+    /// Adds frames to a pass until one lies far from the others, and returns the index of that frame.
     fn add(
         &self,
         p: &Piece,
@@ -354,7 +356,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         Ok(None)
     }
 
-    /// Takes struck samples out of a block.
+    /// Removes struck samples from a block.
     fn without_struck(&self, block: &mut [Array2<u16>], start: usize, out: &mut LeftOut) {
         if self.clean {
             let struck = outliers::take_struck(block);
@@ -363,8 +365,8 @@ impl<'a, 'b> Reader<'a, 'b> {
         }
     }
 
-    /// The frame of a block that lies far from the others, unless a few struck samples make it so; those of a
-    /// block without such a frame are taken out of it.
+    /// Returns the frame of a block that lies far from the others, unless a few struck samples cause it. The
+    /// struck samples of a block without such a frame are removed.
     fn without_outliers(
         &self,
         set: usize,
@@ -392,10 +394,10 @@ impl<'a, 'b> Reader<'a, 'b> {
         None
     }
 
-    /// The first frame of a block that lies far from the others.
+    /// Returns the first frame of a block that lies far from the others.
     fn outlier(&self, set: usize, block: &[Array2<u16>], start: usize, dark: bool) -> Option<usize> {
         let apart = outliers::apart(block);
-        // The first frames of a set may carry what came before.
+        // The first frames of a set may carry the level before.
         let before = |outlier: usize| match outlier.checked_sub(1) {
             Some(before) => Some(apart.mean_dn[before]),
             None => {
@@ -407,8 +409,8 @@ impl<'a, 'b> Reader<'a, 'b> {
             let dies_away = |b: f64| outliers::dies_away(b, apart.mean_dn[outlier]);
             start + outlier <= 2 && before(outlier).is_none_or(dies_away)
         };
-        // A level that still settles: the middle frame is not where it goes to, but each step is less than the
-        // one before.
+        // A level that still settles: the middle frame is not at the final level, but each step is less than
+        // the one before.
         let settling = |outlier: usize| {
             let step = |k: usize| apart.mean_dn[k] - apart.mean_dn[k - 1];
             start <= 1 && outlier == 2 && outliers::dies_away(step(outlier - 1), step(outlier))
@@ -417,11 +419,12 @@ impl<'a, 'b> Reader<'a, 'b> {
         let of_set = self.looks.get(set).and_then(|l| l.apart.as_ref()).map_or(&none, |(_, apart)| apart);
         let mut outliers = self.usual.outliers(&apart, of_set, dark, start, self.zero_dn);
         outliers.retain(|outlier| !carried(*outlier) && !settling(*outlier));
-        // Where many deviate none is an outlier.
+        // If many frames deviate, none is an outlier.
         outliers.first().copied().filter(|_| outliers.len() * 3 <= block.len())
     }
 
-    /// Longer darks have shot noise of dark charge, which stays with its pixels too.
+    /// Returns true for short darks. Longer ones have shot noise of dark charge, which also stays with its
+    /// pixels.
     fn is_short_dark(&self, set: usize) -> bool {
         let noise_dn2 = self.looks.get(set).and_then(Look::var_dn2);
         if noise_dn2.is_some_and(|var| var > self.quiet_dark_dn2) {
@@ -431,7 +434,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         set.kind == Kind::Dark && set.exposure_s <= self.longest_lit_s
     }
 
-    /// Mean of the frame before a piece, without struck samples, DN.
+    /// Returns the mean of the frame before a piece, without struck samples, DN.
     fn first_frame_dn(&self, p: &Piece, from: usize, out: &mut LeftOut) -> Result<f64, ObserveError> {
         let places = from - 1..(from + outliers::BLOCK - 1).min(p.to);
         if !self.clean {
@@ -447,7 +450,7 @@ impl<'a, 'b> Reader<'a, 'b> {
         Ok(codes::mean_of(&block[0].mapv(f32::from), self.layout))
     }
 
-    /// What the frames in a pass say.
+    /// Summarises the frames in a pass.
     fn summarise(
         &self,
         p: &Piece,
@@ -479,11 +482,11 @@ impl<'a, 'b> Reader<'a, 'b> {
     }
 }
 
-/// The sums over all pieces.
+/// Sums over all pieces.
 struct Sums {
     chunks: Vec<Chunk>,
     scenes: Vec<SceneMean>,
-    /// Sets that are clipped.
+    /// Clipped sets.
     saturated: Vec<Saturated>,
     codes: [codes::Codes; 2],
     lines: [codes::LineSearch; 2],
@@ -510,7 +513,7 @@ impl Sums {
         let mut chunk = match work {
             Work::Scene(scene) => return self.scenes.push(scene),
             Work::Clipped(set, level_dn, from, to) => {
-                // The last frames of a set are what the next one follows.
+                // The next set follows the last frames of this one.
                 self.saturated.retain(|s| s.set != set);
                 return self.saturated.push(Saturated { set, level_dn, frames: (from, to) });
             }
@@ -533,13 +536,13 @@ impl Sums {
                 self.steady.add_run(half, Group { exposure_s, frames, level_dn, mean_dn, squares, powers });
             }
         }
-        // They are long, and their sums are all that is needed.
+        // These arrays are long, and only their sums are needed.
         (chunk.summary.power, chunk.summary.occupancy.0) = (Vec::new(), Vec::new());
         (chunk.var_dn2, chunk.single) = (Vec::new(), None);
         self.chunks.push(*chunk);
     }
 
-    /// Places of the samples that stand far above the same pixel in other frames.
+    /// Returns the pixels of samples that stand far above the same pixel in other frames.
     fn struck(&self) -> Vec<usize> {
         self.left_out.iter().flat_map(|(_, l)| l.struck.iter().map(|s| s.0)).collect()
     }
@@ -583,7 +586,7 @@ pub fn read(
         {
             break sums;
         }
-        // The same pixels again and again: that is the sensor, and all of it is looked at.
+        // If the same pixels stand out again and again, they belong to the sensor: no sample is removed.
         tracing::debug!("{} samples stand far off, often the same: they belong to the sensor", struck.len());
         reader.clean = false;
     };
@@ -614,7 +617,7 @@ pub fn read(
     })
 }
 
-/// The statistics of the pieces of those sets that are wanted, to be kept. `progress` is told (pieces done,
+/// Returns the statistics of the pieces of the wanted sets, for storage. `progress` is told (pieces done,
 /// pieces).
 pub fn record(
     dataset: &Dataset,
@@ -637,8 +640,8 @@ pub fn record(
         reader.clean = clean;
         let mut done = 0;
         for group in pieces.chunks(4 * rayon::current_num_threads()) {
-            // Whether samples that stand out are struck ones is for the whole campaign to say: both ways, where
-            // it matters.
+            // The whole campaign decides if samples that stand out are struck. Both versions are stored if
+            // they differ.
             let needed = |p: &&Piece| {
                 clean || out.get::<(Work, LeftOut)>(&reader.key(p, true)).is_none_or(|w| w.1.cleaned)
             };
@@ -666,7 +669,7 @@ mod tests {
         let (d, f) = (Kind::Dark, Kind::Flat);
         assert_eq!(turns(&[d, d, f, f, f], &[false; 5]), [0, 1, 2, 3, 4]);
         assert_eq!(turns(&[f, d, f, d, f, d], &[false; 6]), [0, 0, 1, 1, 2, 2]);
-        // Sets that are cut are in both halves anyway, and those beside them are not.
+        // Sets that are cut are in both halves anyway; the sets beside them are not.
         assert_eq!(turns(&[f, d, f, d], &[true; 4]), [0, 1, 2, 3]);
         let with_stacks = [false, false, false, false, true, true];
         assert_eq!(turns(&[f, d, f, d, f, d], &with_stacks), [0, 0, 1, 1, 2, 2]);

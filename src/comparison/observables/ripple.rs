@@ -1,5 +1,5 @@
-//! Frequency of a lamp's ripple, from how the bands of a rolling shutter, or the scatter of whole frames, fade
-//! with the exposure ([`ripple_left`]). A search for light banding, or for flicker, starts from it.
+//! Frequency of a lamp's ripple, from the fading with the exposure of rolling shutter bands or of the scatter
+//! of whole frames ([`ripple_left`]). A search for light banding, or for flicker, starts from it.
 
 use super::read::Chunk;
 use crate::dataset::{FrameRow, Kind};
@@ -10,7 +10,7 @@ use radcam_sim::effects::{FittingRipple, ripple_left};
 /// Ripples of a lamp that fit the bands of a campaign, or the scatter of its frames.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Ripples {
-    /// Frequencies, Hz, the likeliest first; none where the exposures do not tell one.
+    /// Frequencies, Hz, the likeliest first; empty if the exposures do not determine any.
     pub likely_hz: Vec<f64>,
     /// Slowest and fastest ripple within three standard errors of the likeliest; `None` without flats.
     pub fitting: Option<[FittingRipple; 2]>,
@@ -24,7 +24,7 @@ struct Rippled {
     signal_dn: f64,
     /// Variance of row or frame means beyond that of pixels and darks, DN^2, and its error by their noise.
     var_dn2: (f64, f64),
-    /// Variance by the phases of the frames, over the square of the expected one.
+    /// Variance due to the phases of the frames, over the square of the expected variance.
     by_phases: f64,
 }
 
@@ -33,26 +33,26 @@ const STEPS: [f64; 2] = [0.04, 5e-4];
 /// Slowest and fastest ripple of the search, in turns within the longest exposure: PWM lamps run at up to
 /// some 10 kHz.
 const TURNS: (f64, f64) = (0.1, 101.0);
-/// Number of coarse minima that are searched in fine steps.
+/// Number of coarse minima that are refined in fine steps.
 const FINE: usize = 8;
 /// Largest number of frequencies returned.
 const MOST: usize = 3;
-/// Largest drop in twice the log likelihood, from the best frequency, of one that is returned (a chance of
+/// Largest drop in twice the log likelihood, relative to the best frequency, of a returned one (a chance of
 /// e^-10).
 const FAR: f64 = 20.0;
-/// Gain in twice the log likelihood that a faster ripple must have over a slower one: less is not worth more
-/// than a bare mention (Kass and Raftery 1995, section 3.2). Under exposures in equal steps a faster ripple
-/// with a larger amplitude fades as a slower one does.
+/// Minimum gain in twice the log likelihood of a faster ripple over a slower one: less is not worth more than
+/// a bare mention (Kass and Raftery 1995, section 3.2). Under exposures in equal steps a faster ripple with a
+/// larger amplitude fades as a slower one does.
 const BARELY: f64 = 2.0;
 /// Drop in twice the log likelihood of a ripple three standard errors away.
 const THREE_ERRORS: f64 = 9.0;
 /// Iterations of the weights, which depend on the amplitude.
 const ITERATIONS: usize = 6;
-/// Fewest chunks, and largest ratio of the shortest exposure to the longest, that tell a frequency (named
-/// choices).
+/// Minimum number of chunks, and maximum ratio of the shortest exposure to the longest, that determine a
+/// frequency (named choices).
 const FEWEST: (usize, f64) = (4, 0.67);
 
-/// Ripples that fit the bands in the flats of a campaign.
+/// Returns the ripples that fit the bands in the flats of a campaign.
 pub(super) fn of_bands(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Ripples {
     // Variance of row means beyond the noise of pixels, and its error.
     let beyond = |s: &Summary| {
@@ -62,12 +62,12 @@ pub(super) fn of_bands(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) ->
         let dof = (s.frames as f64 - 1.0) * s.rows_dn.len() as f64;
         (rows_dn2 - of_pixels, of_pixels * (2.0 / dof.max(1.0)).sqrt())
     };
-    // Of n frames with independent phases the mean product of two of different frames scatters by 1 / n (n - 1).
+    // The mean product of two different of n frames with independent phases scatters by 1 / n (n - 1).
     let by_phases = |n: f64| 1.0 / (n * (n - 1.0)).max(1.0);
     ripples(&rippled(chunks, settings, zero_dn, beyond, by_phases))
 }
 
-/// Ripples that fit the scatter of the frames in the flats of a campaign.
+/// Returns the ripples that fit the scatter of the frames in the flats of a campaign.
 pub(super) fn of_frames(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Ripples {
     // Variance of frame means beyond the noise of pixels, and its error.
     let beyond = |s: &Summary| {
@@ -76,14 +76,14 @@ pub(super) fn of_frames(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -
         let var_dn2 = if s.frames > 1 { s.frame_means.variance_dn2() } else { 0.0 };
         (var_dn2 - of_pixels, of_pixels * (2.0 / (s.frames as f64 - 1.0).max(1.0)).sqrt())
     };
-    // Variance of a sample variance (Kenney and Keeping 1951, part 2, p. 164) of a sine, whose fourth moment is
-    // 1.5 times the square of its second.
+    // Variance of a sample variance (Kenney and Keeping 1951, part 2, p. 164) of a sine, whose fourth moment
+    // is 1.5 times the square of its second.
     let by_phases = |n: f64| 1.5 / n - (n - 3.0) / (n * (n - 1.0)).max(1.0);
     ripples(&rippled(chunks, settings, zero_dn, beyond, by_phases))
 }
 
-/// Flats with a variance beyond that of darks. `beyond`: variance beyond the noise of pixels, DN^2, and its
-/// error; `by_phases` the variance of it by the phases of so many frames, relative.
+/// Returns the flats with their variance beyond that of darks. `beyond`: variance beyond the noise of pixels,
+/// DN^2, and its error. `by_phases`: relative variance of it due to the phases of this number of frames.
 fn rippled(
     chunks: &[Chunk],
     settings: &[FrameRow],
@@ -108,7 +108,7 @@ fn rippled(
     chunks.iter().filter_map(of_chunk).collect()
 }
 
-/// Ripples that fit, each with its best amplitude.
+/// Returns the ripples that fit, each with its best amplitude.
 fn ripples(all: &[Rippled]) -> Ripples {
     let exposures = || all.iter().map(|b| b.exposure_s);
     let (shortest_s, longest_s) = exposures().fold((f64::INFINITY, 0.0f64), |(a, b), t| (a.min(t), b.max(t)));
@@ -133,7 +133,7 @@ fn ripples(all: &[Rippled]) -> Ripples {
     let fitting = || found.iter().chain(&coarse).filter(|f| f.score < best + THREE_ERRORS).map(|f| f.ripple);
     let slowest = fitting().min_by(|a, b| a.hz.total_cmp(&b.hz));
     let fastest = fitting().max_by(|a, b| a.hz.total_cmp(&b.hz));
-    // Ripples faster than those of the search fit too: their amplitudes grow with the frequency, up to 1.
+    // Ripples faster than those of the search also fit: their amplitudes grow with the frequency, up to 1.
     let beyond = |r: FittingRipple| match r.hz * longest_s > TURNS.1 - 1.0 && r.rel > 0.0 {
         true => FittingRipple { hz: r.hz / r.rel, rel: 1.0 },
         false => r,
@@ -161,7 +161,7 @@ struct Fitted {
     ripple: FittingRipple,
 }
 
-/// Best amplitude of a ripple of this frequency.
+/// Fits the amplitude of a ripple of this frequency.
 fn fitted(all: &[Rippled], hz: f64) -> Fitted {
     // Share of the signal's square that the ripple would have at amplitude 1.
     let shape = |b: &Rippled| 0.5 * (b.signal_dn * ripple_left(hz, b.exposure_s)).powi(2);
@@ -191,7 +191,7 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Three and four frames under each exposure, with phases and noise of their own.
+    /// Draws three and four frames under each exposure, with phases and noise of their own.
     fn drawn(random: &mut PixelRng, exposures_s: &[f64], hz: f64, rel: f64) -> Vec<Rippled> {
         let sets = exposures_s.iter().flat_map(|t| [(*t, 3), (*t, 4)]);
         sets.map(|(exposure_s, frames)| {

@@ -1,11 +1,12 @@
-//! Covariance of the means of rows some way apart, DN^2: whether rows that scatter do so one by one or in bands.
+//! Covariance of the means of rows some way apart, DN^2: it separates rows that scatter one by one from
+//! bands.
 
 use super::expect::{FIELD, larger};
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature, line_shape};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 
-/// The covariance at these distances.
+/// Covariance at these distances.
 #[derive(Debug)]
 pub struct RowShape;
 
@@ -44,7 +45,7 @@ impl Statistic for RowShape {
         let (Some(s), lag) = (view.set(), line_shape::lag(o.index)) else {
             return Expected::plain(o, 0.0, 1.0);
         };
-        // Noise of pixels and rows as a filter leaves it; the frame's mean takes its part.
+        // Filtered noise of pixels and rows; the frame's mean removes its part.
         let near = if lag < 4 {
             let (shot, read) = view.of_rows(lag);
             (shot * view.left.0 + read * view.left.1) / columns as f64 + s.row.lag(lag as i32)
@@ -53,7 +54,8 @@ impl Statistic for RowShape {
         };
         let flat = view.of_mean - s.column.of_mean() / columns as f64 - view.ripple_of_mean;
         let common = s.ripple_correlation(lag as f64);
-        // Of a slow change the mean is taken off as a whole: what is left of a product depends on where the rows lie.
+        // The mean of a slow change is subtracted as a whole: the rest of a product depends on the places of
+        // the rows.
         let slow = if s.ripples.is_empty() {
             0.0
         } else {
@@ -62,7 +64,7 @@ impl Statistic for RowShape {
         let lines: f64 = s.lines.iter().map(|l| l.0).sum();
         let (shot, read) = view.of_rows(0);
         let own = (shot + read) / columns as f64 + s.row.lag(0);
-        // A product of rows that have little in common scatters by half of the variance of a square.
+        // A product of rows with little in common scatters by half of the variance of a square.
         let ripple = view.ripple_error * (0.5 * (1.0 + common * common)).sqrt();
         let fields = s.fields.rows_apart(lag, rows);
         let stripes = view.stripes(true, lag, own);
@@ -79,7 +81,7 @@ impl Statistic for RowShape {
         ]);
         let field = view.with_light * view.all.field.row_lags[o.index.min(super::LINE_LAGS.len() - 1)];
         let error = in_quadrature(&[error, FIELD * view.with_light * view.all.field.rows]);
-        // A ripple, stripes and fields have different common errors: the largest one is taken.
+        // A ripple, stripes and fields have different common errors: the largest is used.
         let shared = larger(larger(stripes.common, view.ripple_error * common), view.field_error(fields));
         let value = near - flat + slow + stripes.covariance + fields + field;
         Expected::plain(o, value, error).with_common(shared)

@@ -1,5 +1,5 @@
-//! Spectrum of the row means: at which frequencies light ripples down the rows. Its peaks give a search its
-//! starts, and the strongest one of the campaign is an observable ([`line_peak`]).
+//! Spectrum of the row means: frequencies at which light ripples down the rows. Its peaks are the starts of a
+//! search; the strongest of the campaign is an observable ([`line_peak`]).
 
 use super::line_peak::{self, Axis};
 use super::{Expected, HalfView, Observable, Put, Statistic, View};
@@ -14,30 +14,30 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub struct RowSpectrum;
 
-/// Rows are padded to so many times as many: a peak lies within an eighth of a cycle of a bin.
+/// Factor of zero padding of the rows: a peak lies within an eighth of a cycle of a bin.
 pub(super) const PADDED: usize = 4;
-/// Rows below which bands are not told from a slope.
+/// Minimum number of rows to tell bands from a slope.
 const FEWEST: usize = 16;
-/// Peaks that are given as starts.
+/// Maximum number of peaks used as starts.
 const PEAKS: usize = 3;
-/// Power of a peak over the median of all, from which on it is one (a named choice: of the sum over some thirty
-/// frames one chance peak in a hundred spectra). The strongest one starts a search from half as much: a chance
-/// peak costs time, and no fit keeps it.
+/// Minimum power of a peak over the median of all (a named choice: of the sum over some thirty frames one
+/// chance peak in a hundred spectra). The strongest peak starts a search from half as much: a chance peak
+/// costs time, and no fit keeps it.
 const STANDS_OUT: f64 = 3.0;
 
-/// Transform of one length, with its room.
+/// Fourier transform of one length, with its buffer.
 pub(super) type Plan = (usize, Arc<dyn Fft<f32>>, Vec<Complex<f32>>);
 
 thread_local! {
     static ROWS: RefCell<Option<Plan>> = const { RefCell::new(None) };
 }
 
-/// Spectrum sums of a frame of so many lines.
+/// Returns the number of spectrum sums of a frame of this many lines.
 pub(super) fn count(lines: usize) -> usize {
     if lines < FEWEST { 0 } else { PADDED * lines / 2 + 1 }
 }
 
-/// Power of the means of lines, added to the sums. `plan`: kept from frame to frame.
+/// Adds the power of the means of lines to the sums. `plan`: kept from frame to frame.
 pub(super) fn add_power(
     plan: &mut Option<Plan>,
     lines: usize,
@@ -90,8 +90,8 @@ impl Statistic for RowSpectrum {
     }
 }
 
-/// Frequencies of the strongest peaks of a spectrum, cycles per line, the strongest first. `rows`: how many lines
-/// there are.
+/// Returns the frequencies of the strongest peaks of a spectrum, cycles per line, the strongest first.
+/// `rows`: number of lines.
 pub fn peaks(power: &[f64], rows: usize) -> Vec<f64> {
     let usual = crate::statistics::median::median(power.iter().copied());
     // Below half a cycle over all rows there is no peak.
@@ -110,7 +110,7 @@ pub fn peaks(power: &[f64], rows: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Place of a peak between bins, by a parabola through the logarithms.
+/// Returns the place of a peak between bins, by a parabola through the logarithms.
 pub(super) fn refined(power: &[f64], k: usize) -> f64 {
     let [a, b, c] = [k - 1, k, k + 1].map(|k| power[k].max(1e-300).ln());
     let bend = a - 2.0 * b + c;
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
     use ndarray::Array2;
 
-    /// A sine of another phase in each frame: its frequency within a fiftieth of a cycle over all rows.
+    /// A sine of another phase in each frame is found within a tenth of a cycle over all rows.
     #[test]
     fn the_frequency_of_a_ripple_is_found() {
         let rows = 96usize;

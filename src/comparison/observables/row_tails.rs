@@ -1,15 +1,15 @@
-//! Kurtosis of the means of rows about their own: whether all rows scatter alike, or a few of them at a time.
+//! Kurtosis of the row means about their own: large if a few rows scatter at a time, instead of all alike.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 use crate::statistics::layout::Layout;
 use crate::statistics::lines::Lines;
 use radcam_sim::predict::Ripple;
 
-/// The kurtosis; 3 for normal rows.
+/// Kurtosis of the row means; 3 for normal rows.
 #[derive(Debug)]
 pub struct RowTails;
 
-/// Rows and frames from which on it tells something.
+/// Minimum numbers of rows and frames for a meaningful value.
 const ROWS: usize = 32;
 const FRAMES: usize = 3;
 
@@ -35,7 +35,8 @@ impl Statistic for RowTails {
         let r = chunk.summary();
         let square = r.line_var_dn2[0].powi(2);
         if let (Some(fourth), true) = (chunk.sums().first(), r.frames >= FRAMES && square > 0.0) {
-            // Each frame's deviation from those before it is scaled to the variance of a frame: they are independent.
+            // The deviation of each frame from those before it is scaled to the variance of a frame, so all
+            // are independent.
             put.put(0, fourth / square, 0.0);
         }
     }
@@ -57,24 +58,27 @@ impl Statistic for RowTails {
         let longest = s.ripples.iter().map(|(_, r)| length(r)).fold(1.0, f64::max);
         let alike = ripple / all * (longest - 1.0) + fields / all * (rows as f64 - 1.0);
         let n = rows as f64 * view.dof / (1.0 + alike);
-        // Of a sine it is 1.5, and of the difference of two 2.25: of a frame from the mean of those before it somewhere between.
+        // The kurtosis of a sine is 1.5, and that of the difference of two sines 2.25. A frame minus the mean
+        // of those before it lies between.
         let of_light = s.ripples.iter().map(|(v, r)| if let Ripple::Sine(_) = r { *v } else { 0.0 });
         let sine = (of_light.sum::<f64>() + stripes) / all;
         // Rows of unequal pixels scatter unequally.
         let noisy = s.unequal.max(0.0) / (view.noise * view.noise).max(1e-12);
         let unequal = 3.0 * noisy / columns as f64;
-        // Tails of the pixels' noise that are not known go on, each row's mean having so many pixels.
+        // Unknown tails of the pixels' noise remain, reduced by the number of pixels in each row's mean.
         let tails =
             (3.0 * s.unsure + s.unsure_fourth) / (view.noise * view.noise).max(1e-12) / columns as f64;
-        // What whole frames share moves rows by their shading.
+        // Common noise of whole frames moves rows by their shading.
         let shading = (view.all.largest_spread.powi(2) * (s.common + view.moved))
             .max(view.with_light * view.all.field.rows)
             / all;
         let lines: f64 = s.lines.iter().map(|l| l.0).sum::<f64>() / columns as f64 / all;
-        // What rows share is noise in one camera and hum in another, whose kurtosis is that of a sine: only bursts are no noise of rows.
+        // Common noise of rows is noise in one camera and hum in another, with the kurtosis of a sine. Only
+        // bursts rule out row noise.
         let rows_share = (s.row.lag(0) + ripple) / all;
         let hum = if o.measured.value < 3.0 { 1.5 * rows_share * rows_share } else { 0.0 };
-        // Pixels that are noisier than the rest may lie in the same rows, as beside the edge of what is clipped: few rows then have the noise.
+        // Pixels noisier than the rest may lie in the same rows, as beside the edge of a clipped region: few
+        // rows then have the noise.
         let unsure = hum
             + noisy
             + tails
@@ -87,10 +91,12 @@ impl Statistic for RowTails {
     }
 }
 
-/// The transformation has a pole at some short tails: it is held this far from it, which is beyond six standard errors.
+/// Distance kept from the pole of the transformation at some short tails; the pole is beyond six standard
+/// errors.
 const END: f64 = 0.2;
 
-/// Expected kurtosis of n normal numbers and more, in the space in which it is normal (Anscombe and Glynn 1983, Biometrika 70, 227).
+/// Returns the expected kurtosis of n normal numbers plus `more`, in the space in which it is normal
+/// (Anscombe and Glynn 1983, Biometrika 70, 227).
 fn kurtosis(measured: f64, n: f64, more: f64, unsure: f64) -> Expected {
     let expected = 3.0 * (n - 1.0) / (n + 1.0);
     let variance = 24.0 * n * (n - 2.0) * (n - 3.0) / ((n + 1.0).powi(2) * (n + 3.0) * (n + 5.0));
@@ -128,7 +134,8 @@ mod tests {
         assert!((z + 1.705_810_415_212_206_2).abs() < 1e-9, "{z}");
     }
 
-    /// Of 2000 lists of 192 normal numbers: mean and variance of z within five standard errors, and three standard errors cover 99 to 100 %.
+    /// For 2000 lists of 192 normal numbers the mean and variance of z agree within five standard errors, and
+    /// three standard errors cover 99 to 100 %.
     #[test]
     fn errors_cover_normal_rows() {
         let of = |list: u32| {
@@ -144,7 +151,7 @@ mod tests {
         assert!(all.iter().filter(|z| z.abs() > 3.0).count() <= 20);
     }
 
-    /// Tails as short as tails can be give a number that can be used.
+    /// The shortest possible tails give a finite value.
     #[test]
     fn the_shortest_tails_are_finite() {
         let z = kurtosis(1.0, 64.0, 0.0, 0.0).z();

@@ -2,7 +2,7 @@
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
-/// The scatter of whole rows.
+/// Scatter of whole rows.
 #[derive(Debug)]
 pub struct RowVariance;
 

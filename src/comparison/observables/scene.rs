@@ -1,8 +1,8 @@
-//! A still scene with a bright patch at two exposures: what leaks out of the patch, and in which direction.
+//! Still scene with a bright patch at two exposures: charge that leaks out of the patch, by direction.
 //!
-//! The short exposure is scaled up and the long one is taken off: of a camera that adds nothing of its own nothing is left, whatever the
-//! scene and the lens are. Edges and blur are light, and grow with the exposure; smear and blooming do not, nor do trails whose share
-//! depends on the charge.
+//! The short exposure is scaled up and the long one subtracted: a camera that adds nothing of its own leaves
+//! nothing, for any scene and lens. Edges and blur are light and grow with the exposure. Smear and blooming
+//! do not, nor do trails whose share depends on the charge.
 
 use super::read::SceneMean;
 use crate::dataset::{FrameRow, Kind};
@@ -12,13 +12,14 @@ use ndarray::Array2;
 use radcam_sim::predict::Prediction;
 use std::ops::Range;
 
-/// Pixels beside the patch that are looked at for leaks, counted from its edge; the first has part of the edge.
+/// Pixels beside the patch that are searched for leaks, counted from its edge. The first is excluded: it has
+/// part of the edge.
 const NEAR: Range<usize> = 1..12;
 
-/// Share of what spills beyond the next pixels that may be lost on its way, or spread otherwise: barriers differ.
+/// Share of the charge spilled beyond the next pixels that may be lost or spread otherwise: barriers differ.
 const LOST: f64 = 0.7;
 
-/// Which way from the patch.
+/// Direction from the patch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
     /// Towards row 0.
@@ -31,15 +32,15 @@ pub enum Direction {
     Right,
     /// Along the columns, farther than [`Direction::Up`] and [`Direction::Down`] look.
     Columns,
-    /// The pixels next to the patch along the columns: what spills goes there first.
+    /// Pixels next to the patch along the columns, which spilled charge reaches first.
     Next,
 }
 
 impl Direction {
-    /// All of them.
+    /// All directions.
     pub const ALL: [Self; 6] = [Self::Up, Self::Down, Self::Left, Self::Right, Self::Columns, Self::Next];
 
-    /// In words.
+    /// Returns the direction in words.
     pub fn name(self) -> &'static str {
         match self {
             Self::Up => "above",
@@ -55,23 +56,26 @@ impl Direction {
 /// A still scene at two exposures.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScenePair {
-    /// The short exposure scaled up less the long one, beside the patch against the background away from it, DN.
+    /// Short exposure scaled up minus the long one, beside the patch relative to the background away from it,
+    /// DN.
     pub leaks: Vec<(Direction, Value)>,
-    /// Light of the columns through the patch less that of the others (means of whole columns), DN per second at the long exposure.
+    /// Light of the columns through the patch minus that of the others (means of whole columns), DN per
+    /// second at the long exposure.
     column_light_dn_per_s: f64,
-    /// Long over short exposure.
+    /// Ratio of long to short exposure.
     ratio: f64,
-    /// The patch as the short exposure has it, scaled to the long one; the background; DN above zero.
+    /// Patch in the short exposure, scaled to the long one, and background; DN above zero.
     patch_dn: f64,
     background_dn: f64,
-    /// Rows of the patch, above it and below it.
+    /// Numbers of rows of the patch, above it and below it.
     rows: [usize; 3],
-    /// Whether every pixel's zero is known.
+    /// True if the zero of every pixel is known.
     zero_by_pixel: bool,
 }
 
-/// Mean of the values and the variance of that mean from their scatter, wider where they are few: a mean over such an error then has
-/// the variance 1 (Student's t of n - 1 degrees has (n - 1) / (n - 3)). `None` for fewer than four.
+/// Returns the mean of the values and the variance of that mean from their scatter. The variance is enlarged
+/// for few values, so that the mean over its error has the variance 1 (Student's t of n - 1 degrees has
+/// (n - 1) / (n - 3)). `None` for fewer than four values.
 fn mean(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let all: Vec<f64> = values.collect();
     let n = all.len() as f64;
@@ -81,7 +85,8 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
 }
 
 impl ScenePair {
-    /// From the mean images of scenes, the longest and the shortest of equal light; `zero`: level of the darks, DN.
+    /// Creates the pair from the mean images of scenes: the longest exposure and the shortest of equal light.
+    /// `zero`: level of the darks, DN.
     pub fn of(means: &[&SceneMean], settings: &[FrameRow], zero: f64, layout: &Layout) -> Option<Self> {
         let scenes: Vec<_> = means.iter().filter(|s| settings[s.set].kind == Kind::Scene).collect();
         let by = |s: &SceneMean| settings[s.set].exposure_s;
@@ -100,7 +105,7 @@ impl ScenePair {
         };
         let image = above_zero(&long.mean_dn);
         let scaled = above_zero(&short.mean_dn) * ratio;
-        // The patch as the short exposure shows it: in the long one it may have spilled.
+        // The patch is located in the short exposure: in the long one it may have spilled.
         let good = |y: usize, x: usize| layout.mask[y * columns + x] > 0.0;
         let sound = scaled.indexed_iter().filter(|((y, x), _)| good(*y, *x));
         let top = sound.map(|(_, v)| *v).fold(f64::MIN, f64::max);
@@ -111,7 +116,7 @@ impl ScenePair {
         let (left, right) = (across.iter().position(|b| *b)?, across.iter().rposition(|b| *b)?);
         let (first, last) = (level.iter().position(|b| *b)?, level.iter().rposition(|b| *b)?);
         let apart = &scaled - &image;
-        // Line by line: pixels of a line may have a pattern of their own.
+        // Lines are averaged first: the pixels of a line may have a pattern of their own.
         let by_column = |ys: &[usize], wanted: bool| {
             let xs = (0..columns).filter(|x| across[*x] == wanted);
             mean(xs.filter_map(|x| {
@@ -170,7 +175,7 @@ impl ScenePair {
         })
     }
 
-    /// What a prediction has for a leak, DN.
+    /// Returns the predicted leak, DN.
     pub fn expected(&self, direction: Direction, p: &Prediction) -> f64 {
         let smear = p.smear_s * (self.ratio - 1.0) * self.column_light_dn_per_s;
         match direction {
@@ -189,13 +194,13 @@ impl ScenePair {
         }
     }
 
-    /// By how much a pixel's own zero, DN, may move what is looked at. `clipped`: darks do not show it.
+    /// Returns the factor by which a pixel's own zero enters the leak. `clipped`: darks do not show the zero.
     pub fn zero_scaled(&self, clipped: bool) -> f64 {
         if self.zero_by_pixel && !clipped { 0.0 } else { self.ratio - 1.0 }
     }
 
-    /// By how much that is not known, DN: a part of what spills may be lost on its way, and next to the patch the light of its edge is bent
-    /// by whatever bends the patch.
+    /// Returns the model error of the leak, DN. A part of the spilled charge may be lost on its way, and next
+    /// to the patch the light of its edge has the same nonlinearity as the patch.
     pub fn unsure(&self, direction: Direction, p: &Prediction) -> f64 {
         let range = match direction {
             Direction::Left | Direction::Right => return 0.0,
@@ -209,7 +214,8 @@ impl ScenePair {
         LOST * self.spilled(p, range)
     }
 
-    /// What blooming leaves in pixels so far from the patch, in the long exposure, DN.
+    /// Returns the mean charge that blooming leaves at these distances from the patch in the long exposure,
+    /// DN.
     fn spilled(&self, p: &Prediction, range: Range<usize>) -> f64 {
         let well_dn = p.bloom_e * p.base.gain_dn_per_e;
         let room = well_dn - self.background_dn;
@@ -217,7 +223,7 @@ impl ScenePair {
         if over == 0.0 || room <= 0.0 || range.is_empty() {
             return 0.0;
         }
-        // Half of it goes each way and fills pixel after pixel.
+        // Half of the charge goes each way and fills pixel after pixel.
         let filled = 0.5 * over / room;
         room * (filled - range.start as f64).clamp(0.0, range.len() as f64) / range.len() as f64
     }
@@ -280,7 +286,7 @@ mod tests {
         let pair = pair(7, |y, x| if (24..41).contains(&x) && (42..50).contains(&y) { 3.0 } else { 0.0 });
         for d in Direction::ALL {
             let found = sigmas(&pair, d);
-            // The short exposure says what was expected: the long one has more.
+            // The long exposure has more than the short one predicts.
             assert!(if d == Direction::Down { found < -10.0 } else { found.abs() < 4.0 }, "{d:?}: {found}");
         }
     }

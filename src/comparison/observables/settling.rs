@@ -1,8 +1,8 @@
-//! The first and the second frame of a set less the mean of those after them in the chunk, DN: what came before.
+//! Carry-over: the first and the second frame of a set minus the mean of those after them in the chunk, DN.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 
-/// The step to the settled level.
+/// Step to the settled level.
 #[derive(Debug)]
 pub struct Settling;
 

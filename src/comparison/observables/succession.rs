@@ -1,14 +1,15 @@
-//! Product of the deviations of successive frame means over their variance: whether frames scatter one by one.
+//! Product of the deviations of successive frame means over their variance: it tells independent from
+//! correlated frames.
 
 use crate::statistics::succession::{of_independent, sums};
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
-/// The correlation from frame to frame.
+/// Correlation from frame to frame.
 #[derive(Debug)]
 pub struct Succession;
 
-/// Frames from which on a set tells of it.
+/// Minimum number of frames of a set.
 const FEWEST: u64 = 4;
 
 impl Statistic for Succession {
@@ -37,7 +38,7 @@ impl Statistic for Succession {
         let noise = (view.of_mean + s.common).max(1e-12) * view.dof;
         let value = (product + noise * view.product(&s.shot_memory)) / (square + noise);
         let (_, own) = of_independent(view.n);
-        // Where the level moves, what is known of that decides.
+        // If the level moves, the expected motion dominates.
         Expected::plain(o, value, own.hypot(square / (square + noise)))
     }
 }

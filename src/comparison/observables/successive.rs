@@ -4,18 +4,20 @@ use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature
 use crate::statistics::pass::Summary;
 use crate::statistics::successive::error_of;
 
-/// What is carried to the next frame.
+/// Noise carried to the next frame.
 #[derive(Debug)]
 pub struct Successive;
 
-/// Standard error for independent normal pixels: of each in proportion to its own variance, so that a few noisy ones decide.
+/// Returns the standard error for independent normal pixels. Each pixel scatters in proportion to its own
+/// variance, so a few noisy pixels dominate.
 pub fn theory(r: &Summary) -> f64 {
     let mean_square = 1.0 + r.unequal.value.max(0.0);
     r.var.value * (mean_square / r.pixels).sqrt() * error_of(r.frames)
 }
 
-/// Where rounding follows the noise of one frame x of three with slope r, the variance changes by 2 r x / 3 and the covariance of one pair of
-/// two by r x / 2: this share of it.
+/// Change of this statistic over the change of the variance if rounding follows the noise: for the noise of
+/// one frame x of three, with slope r, the variance changes by 2 r x / 3 and the covariance of one pair of
+/// two by r x / 2.
 const MOVING: f64 = 0.75;
 
 impl Statistic for Successive {
@@ -40,7 +42,7 @@ impl Statistic for Successive {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
-        // Of the mean product, and of the variance that is left over the frames: nothing where frames are independent.
+        // Sum of the mean product and of the variance left over the frames; 0 for independent frames.
         let carried = |variance: f64, memory: &[f64], left: f64| {
             if memory.is_empty() {
                 return 0.0;
@@ -66,7 +68,7 @@ impl Statistic for Successive {
                 view.lines(0, 0),
                 0.3 * view.moving,
                 view.shared(1, 1),
-                // Light of whole frames that happens to be alike in successive ones.
+                // Light of whole frames that is alike in successive ones by chance.
                 view.with_light * view.all.field.pixels / view.dof.sqrt(),
             ]),
         )

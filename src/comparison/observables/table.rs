@@ -15,13 +15,13 @@ use crate::statistics::jackknife::Value;
 use crate::statistics::peak::{strays, turn_off};
 use radcam_sim::predict::{Before, Campaign, FrameInfo, NORMAL, SetInfo};
 
-/// Rows up to the peak of the variance as sets of one pair each.
+/// Converts the rows up to the peak of the variance to sets of one pair each.
 ///
 /// # Errors
 ///
-/// Where the table has too few levels.
+/// The table has too few levels.
 pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
-    // Levels count from the black level.
+    // Levels are relative to the black level.
     let black_dn = black_level_of(table);
     let mut table = table.clone();
     if let Some(black_dn) = &black_dn {
@@ -61,7 +61,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             l.var_dn2
         ));
     }
-    // Past the variance's peak the well is full: what the rows say there is not noise.
+    // Above the peak of the variance the well is full, and the variance of the rows is not noise.
     let mut used = vec![true; table.levels.len()];
     strays.iter().chain(&copies).for_each(|&i| used[i] = false);
     let mut order: Vec<usize> = (0..used.len()).filter(|i| used[*i]).collect();
@@ -85,7 +85,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         )));
     }
     let stated = kept.iter().all(|&i| table.levels[i].exposure_s.is_some());
-    // Levels that differ at one exposure differ in light, which nobody states.
+    // Levels that differ at one exposure differ in light, which is not stated.
     let first = &table.levels[kept[0]];
     let nothing_else = |l: &Level| {
         l.exposure_s == first.exposure_s
@@ -100,7 +100,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
         );
     }
     let mut list = Vec::new();
-    // Rows of one lamp share its strength, and those of one illumination its setting.
+    // Rows of one lamp share its strength; rows of one illumination share its setting.
     let mut lights: Vec<(Option<u32>, u64)> = Vec::new();
     let mut light_of = |place: usize, lamp: Option<u32>, illumination: f64| {
         if !exposures {
@@ -123,7 +123,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
             illumination,
             light_ratio: 1.0,
             spread: 0.0,
-            // Not known; pixels rarely lie at one place between two codes.
+            // Unknown; pixels rarely lie at one place between two codes.
             spread_dn: 1.0,
             places: NORMAL,
         });
@@ -142,7 +142,7 @@ pub fn observations(table: &Table) -> Result<Observations, ObserveError> {
                     frame_means: (0.0, 0.0),
                 });
             };
-        // Without exposures the mean gives the light: known to both halves.
+        // Without exposures the mean defines the light, so both halves know it.
         add(&mean::Mean, 0, if exposures { turn } else { Half::Both }, level.mean_dn, 0.0);
         if let Some(reading) = level.monitor.filter(|m| *m > 0.0 && exposures) {
             add(&monitor::Monitor, 0, turn, reading.ln(), 0.0);

@@ -1,10 +1,10 @@
-//! Steps between parts of the sensor: right and left half, lower and upper, odd and even columns, odd and even rows; each in proportion
-//! to the signal and constant, DN.
+//! Steps between parts of the sensor: right and left half, lower and upper half, odd and even columns, odd
+//! and even rows. Each has a part in proportion to the signal and a constant part, DN.
 
 use super::{Expected, HalfView, Observable, Put, Statistic, View};
 use crate::statistics::taps;
 
-/// The step: twice the parts' number, and one more where it is constant.
+/// Step between parts. The index is twice the number of the parts, plus one for the constant part.
 #[derive(Debug)]
 pub struct Tap;
 
@@ -37,7 +37,8 @@ impl Statistic for Tap {
         ];
         for (parts, step) in steps.into_iter().enumerate() {
             for (k, value) in step.into_iter().flatten().enumerate() {
-                // Their error is the sensor's pattern, which both halves have: together they know no more than one.
+                // The error is the sensor's pattern, which both halves share: together they know no more than
+                // one.
                 put.put(2 * parts + k, value.value, value.std_err * std::f64::consts::SQRT_2);
             }
         }
@@ -49,7 +50,8 @@ impl Statistic for Tap {
     }
 }
 
-/// Places of the lines that have pixels: the mean of one without is that of the frame, in every profile.
+/// Returns the indices of the lines that have pixels. A line without any has the frame's mean in every
+/// profile.
 fn lines_with_pixels(profiles: &[(f64, &[f64])], zero_dn: f64) -> Vec<usize> {
     let lines = profiles.first().map_or(0, |p| p.1.len());
     let is_of_frame = |p: &(f64, &[f64]), x: usize| {

@@ -1,25 +1,25 @@
-//! Excess spread of the pixels' variances, relative: whether some pixels are noisier than the rest.
+//! Excess spread of the pixel variances, relative: a few pixels are noisier than the rest.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::pass::Summary;
 use radcam_sim::predict::LineNoise;
 
-/// The spread.
+/// Spread of the pixel variances.
 #[derive(Debug)]
 pub struct Unequal;
 
-/// Standard error for independent normal pixels that are alike: `scatter` without a spread.
+/// Returns the standard error for independent, equal normal pixels: `scatter` without a spread.
 pub fn theory(r: &Summary) -> f64 {
     (scatter(r.frames as f64 - 1.0, [1.0; 3]) / r.pixels).sqrt()
 }
 
-/// Variance, times the pixels, of the spread mean(v^2) / mean(v)^2 / (1 + a) of sample variances v = V (1 + x) of
-/// d degrees of freedom, a = 2 / d, over pixels whose variances V have mean 1 and these raw moments (second,
-/// third, fourth).
+/// Returns the variance, times the pixels, of the spread mean(v^2) / mean(v)^2 / (1 + a) of sample variances
+/// v = V (1 + x) with d degrees of freedom, a = 2 / d. The variances V of the pixels have mean 1 and these
+/// raw moments (second, third, fourth).
 ///
-/// To first order it deviates by the mean of V^2 (2 x + x^2 - a) - 2 c V x, c = (1 + a) E V^2, over 1 + a; by the
-/// moments of chi-square, E x^2 = a, E x^3 = 2 a^2, E x^4 = 3 a^2 + 6 a^3. Of pixels that are alike it is 2 a^2 /
-/// (1 + a).
+/// To first order the spread deviates by the mean of V^2 (2 x + x^2 - a) - 2 c V x, c = (1 + a) E V^2, over
+/// 1 + a. The moments of chi-square are E x^2 = a, E x^3 = 2 a^2, E x^4 = 3 a^2 + 6 a^3. For equal pixels the
+/// result is 2 a^2 / (1 + a).
 fn scatter(dof: f64, [two, three, four]: [f64; 3]) -> f64 {
     let a = 2.0 / dof.max(1.0);
     let c = (1.0 + a) * two;
@@ -44,8 +44,9 @@ impl Statistic for Unequal {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let Some(s) = view.set() else { return Expected::plain(o, 0.0, 1.0) };
-        // The variance of a sample variance has the fourth cumulant over the frames in it (Cramer 1946, 27.4). Of two successive frames, of
-        // which there are n - 1 pairs, it has theirs by the products of the weights 1 / n of a square and -1 / n (n - 1) of a product.
+        // The variance of a sample variance contains the fourth cumulant over the frames (Cramer 1946, 27.4).
+        // The n - 1 pairs of successive frames add their cumulants by the products of the weights 1 / n of a
+        // square and -1 / n (n - 1) of a product.
         let n = view.n;
         let [three, two, one] = s.fourth_next;
         let pairs =
@@ -55,19 +56,19 @@ impl Statistic for Unequal {
         let variance = view.noise.max(1e-9);
         let rest = view.rough.1.hypot(view.moving) / variance;
         let square = variance * variance;
-        // Shot noise of unequal dark charge: pixels that stand out are compared with what their charge lets
-        // expect, others are not.
+        // Shot noise of unequal dark charge: only pixels that stand out are compared with the noise that
+        // their charge lets expect.
         let dark = view.at.map_or(0.0, |set| view.all.dark_spread_dn2[set]);
         let charge = 0.5 * dark * view.prediction.base.gain_dn_per_e.powi(2);
         let scatter_of_unlike =
             (scatter(view.dof, view.unequal().1) - scatter(view.dof, [1.0; 3])).max(0.0) / o.pixels;
-        // Pixels whose noise is alike have sample variances that are alike: of the scatter 2 s^4 / dof the mean over pairs of pixels of
-        // (covariance / s^2)^2 is missing.
+        // Pixels with common noise have similar sample variances: the scatter 2 s^4 / dof lacks the mean over
+        // pairs of pixels of (covariance / s^2)^2.
         let (rows, columns) = view.all.campaign.shape;
         let alike = s.shared_squares(rows, columns) / square * 2.0 / view.dof / allowed;
         let of_lines = |noise: &LineNoise, lines: usize| {
             let (own, of_mean) = (noise.lag(0), noise.of_mean());
-            // Lines that are alike count as fewer.
+            // Lines with common noise count as fewer.
             let independent = lines as f64 * if of_mean > own { own / of_mean } else { 1.0 };
             scatter_of_lines(own / variance, view.dof, independent.max(1.0))
         };
@@ -91,9 +92,9 @@ impl Statistic for Unequal {
                 of_lines(&s.column, columns),
                 sines_scatter,
                 s.fields.squares() / square * of_field(view.dof),
-                // Bands of a wander are few.
+                // A wander has few bands.
                 0.3 * alike,
-                // Rounding changes the correlation of frames; that is not predicted.
+                // Rounding changes the correlation of frames, which is not predicted.
                 0.1 * in_time,
             ]),
         )
@@ -101,16 +102,16 @@ impl Statistic for Unequal {
     }
 }
 
-/// Share in the spread, and how much it scatters, of a sine of one random phase a frame that has the part
-/// `share` of the pixels' variance, over n frames. `one`: mean over pairs of pixels of the cosine of twice
-/// the phase between them; 1 where all have the same phase, 0 where there are many cycles.
+/// Returns the contribution to the spread, and its scatter, of a sine with one random phase per frame that
+/// has the part `share` of the pixels' variance, over n frames. `one`: mean over pairs of pixels of the
+/// cosine of twice the phase between them; 1 if all have the same phase, 0 for many cycles.
 ///
-/// With m_k the mean of exp(i k phase) over the frames the sample variance of the sine at phase t is, of its
-/// variance, n / (n - 1) (1 - |m_1|^2 - Re (m_2 - m_1^2) exp(2 i t)). Over the pixels it scatters by h (1 -
-/// one), as an exponential variable does: E |m_2 - m_1^2|^2 = (n^2 - 1) / n^3 of independent uniform phases
-/// makes h = (n + 1) / 2 n (n - 1). With r the sine's mean sample variance, N that of normal noise and a = 2
-/// / (n - 1), the spread beside that of normal pixels is (h (1 - one) - a) r^2 / (1 + a) (N + r)^2, and r
-/// scatters by 1 / n (n - 1).
+/// Let m_k be the mean of exp(i k phase) over the frames. The sample variance of the sine at phase t,
+/// relative to its variance, is n / (n - 1) (1 - |m_1|^2 - Re (m_2 - m_1^2) exp(2 i t)). Over the pixels it
+/// scatters by h (1 - one), as an exponential variable does: E |m_2 - m_1^2|^2 = (n^2 - 1) / n^3 for
+/// independent uniform phases gives h = (n + 1) / 2 n (n - 1). Let r be the mean sample variance of the sine,
+/// N that of normal noise, and a = 2 / (n - 1). The spread beside that of normal pixels is (h (1 - one) - a)
+/// r^2 / (1 + a) (N + r)^2, and r scatters by 1 / n (n - 1).
 fn of_sine(share: f64, n: f64, one: f64) -> (f64, f64) {
     let share = share.clamp(0.0, 1.0);
     let a = 2.0 / (n - 1.0).max(1.0);
@@ -121,37 +122,38 @@ fn of_sine(share: f64, n: f64, one: f64) -> (f64, f64) {
     (part * (over_pixels * (1.0 - one).clamp(0.0, 1.0) - a), part * over_pixels.hypot(of_walk))
 }
 
-/// Chance that chi-square of one degree of freedom passes [`RARE`]: one in a hundred thousand, some pixels in
-/// some sets of a thousand campaigns.
+/// Chi-square of one degree of freedom passes [`RARE`] with a chance of one in a hundred thousand: some
+/// pixels in some sets of a thousand campaigns.
 const RARE: f64 = 19.5;
 
-/// Error of the mean square of sample variances due to the noisiest pixel: its contribution at a chance of
-/// 1e-5, scaled to one standard error. `largest`: its variance over the mean. Means over few noisy pixels are
-/// not normal.
+/// Returns the error of the mean square of sample variances due to the noisiest pixel: its contribution at a
+/// chance of 1e-5, scaled to one standard error, because means over few noisy pixels are not normal.
+/// `largest`: variance of that pixel over the mean.
 fn tail(largest: f64, dof: f64, pixels: f64) -> f64 {
     if largest <= 1.5 {
         return 0.0;
     }
-    // That quantile of chi-square over its degrees of freedom (Wilson and Hilferty 1931).
+    // Quantile at that chance of chi-square over its degrees of freedom (Wilson and Hilferty 1931).
     let a = 2.0 / (9.0 * dof.max(1.0));
     let quantile = (1.0 - a + RARE.sqrt() * a.sqrt()).powi(3);
     (largest * quantile).powi(2) / pixels / RARE.sqrt()
 }
 
-/// Standard error of the spread where lines share the part `share` of the pixels' variance: the sample variances scatter from line to line, and
-/// there are few lines.
+/// Returns the standard error of the spread if lines share the part `share` of the pixels' variance: the
+/// sample variances scatter from line to line, and lines are few.
 ///
-/// Of n independent sample variances v = 1 + x of d degrees of freedom, with a = 2 / d, the spread mean(v^2) / mean(v)^2 / (1 + a) - 1 is, to
-/// first order, the mean of (x^2 - a - 2 a x) / (1 + a). By the moments of chi-square, E x^2 = a, E x^3 = 2 a^2, E x^4 = 3 a^2 + 6 a^3, its
-/// variance is 2 a^2 / (n (1 + a)). What lines have in common enters by the square of their share.
+/// Take n independent sample variances v = 1 + x of d degrees of freedom, and a = 2 / d. To first order the
+/// spread mean(v^2) / mean(v)^2 / (1 + a) - 1 is the mean of (x^2 - a - 2 a x) / (1 + a). By the moments of
+/// chi-square, E x^2 = a, E x^3 = 2 a^2, E x^4 = 3 a^2 + 6 a^3, its variance is 2 a^2 / (n (1 + a)). The
+/// common noise of lines enters by the square of its share.
 fn scatter_of_lines(share: f64, dof: f64, lines: f64) -> f64 {
     let a = 2.0 / dof;
     share * share * a * (2.0 / (lines * (1.0 + a))).sqrt()
 }
 
-/// Scatter of the spread of pixel variances by a shape that n independent frames take anew, over the square of
-/// its share of the noise: that of 1/2 A2^2, A2 the mean square of n normal numbers (moments of chi-squared: n (n
-/// + 2) (n + 4) (n + 6) less n^2 (n + 2)^2, over n^4).
+/// Returns the scatter of the spread of pixel variances due to a shape drawn anew in n independent frames,
+/// over the square of its share of the noise. It is the scatter of 1/2 A2^2, with A2 the mean square of n
+/// normal numbers (moments of chi-squared: n (n + 2) (n + 4) (n + 6) less n^2 (n + 2)^2, over n^4).
 fn of_field(n: f64) -> f64 {
     0.5 * (8.0 * (n + 2.0) * (n + 3.0) / n.powi(3)).sqrt()
 }
@@ -164,8 +166,8 @@ mod tests {
     use radcam_sim::rng::{PixelRng, Stream};
 
     /// Sines of 100, 70 and 40 % of the variance, of many cycles and of less than one, over four to sixteen
-    /// frames: to first order in 1 / n the mean of 4000 sets is as stated, within 0.3 of the scatter, and the
-    /// scatter within a tenth above and a third below.
+    /// frames. To first order in 1 / n the mean of 4000 sets is as stated, within 0.3 of the scatter. The
+    /// scatter agrees to a tenth above and a third below.
     #[test]
     fn a_sine_of_few_phases_spreads_as_stated() {
         const PHASES: usize = 32;
@@ -205,8 +207,9 @@ mod tests {
         }
     }
 
-    /// Row noise of 99 and of 80 % of the variance, 300 sets of seven frames each: the spread scatters as stated, within four standard errors of
-    /// its standard deviation, which has (kurtosis - 1) / 4 n for its relative variance.
+    /// Row noise of 99 and of 80 % of the variance, 300 sets of seven frames each. The spread scatters as
+    /// stated, within four standard errors of its standard deviation, whose relative variance is
+    /// (kurtosis - 1) / 4 n.
     #[test]
     fn lines_that_share_noise_are_few() {
         const SHAPE: (usize, usize) = (64, 96);

@@ -4,11 +4,11 @@ use super::expect::FIELD;
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::pass::Summary;
 
-/// The variance.
+/// Temporal variance of the pixels.
 #[derive(Debug)]
 pub struct Variance;
 
-/// Standard error for independent normal pixels.
+/// Returns the standard error for independent normal pixels.
 pub fn theory(r: &Summary) -> f64 {
     r.var.value * (2.0 / (r.pixels * (r.frames as f64 - 1.0))).sqrt()
 }
@@ -26,7 +26,7 @@ impl Statistic for Variance {
         "DN^2"
     }
 
-    /// Shot noise is that of the set's own light, not of the nominal one.
+    /// Returns true: shot noise is that of the set's own light, not of the nominal one.
     fn sees_light(&self) -> bool {
         true
     }
@@ -43,8 +43,8 @@ impl Statistic for Variance {
             view.lag(0, 0) + view.moving,
             in_quadrature(&[
                 o.measured.std_err,
-                // Pixels with more noise than others scatter more (their mean square over the square of their
-                // mean).
+                // Pixels with more noise scatter more (mean square of the pixel variances over the square of
+                // their mean).
                 view.noise * (2.0 * view.unequal_spread() / (o.pixels * view.dof)).sqrt(),
                 view.alike_in_time(o.pixels),
                 view.rough.1,

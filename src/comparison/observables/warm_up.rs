@@ -3,15 +3,16 @@
 use crate::fit::line::fit;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Least drift of the light within a set, relative, that is said, and the share of the scatter of the frames
-/// that it must be at least.
+/// Minimum drift of the light within a set, relative, to be reported, and minimum share of the scatter of the
+/// frames that it explains.
 const DRIFT: (f64, f64) = (0.005, 0.7);
-/// Chance that flicker alone makes such a line (a named choice: of a thousand sets none is said by it).
+/// Maximum chance that flicker alone makes such a line (a named choice: none of a thousand sets is reported
+/// by chance).
 const MAX_CHANCE: f64 = 1e-5;
-/// Fewest frames.
+/// Minimum number of frames.
 const MIN_FRAMES: usize = 8;
 
-/// A light that rises or falls steadily while a set is taken, in words.
+/// Returns a note if the light rises or falls steadily while a set is taken.
 pub(super) fn in_words(means_dn: &[f64], zero_dn: f64) -> Option<String> {
     let n = means_dn.len() as f64;
     let mean_dn = means_dn.iter().sum::<f64>() / n;

@@ -1,5 +1,5 @@
-//! Mechanisms behind laws: which statistic, growing with what, points to which part of a camera, and which
-//! measurement separates the causes.
+//! Mechanisms behind laws: a statistic and its growth point to a part of the camera, and to the measurement
+//! that separates the causes.
 
 use super::laws::Growth::{
     self, Constant, Exposure, Faster, Noise, Odd, Signal, Slower, Square, Step, Time, Wave,
@@ -16,7 +16,7 @@ pub struct Cause {
     pub mechanism: &'static str,
     /// Measurement that separates it from the others.
     pub measure: &'static str,
-    /// Place where the mechanism, or its measurement, is described.
+    /// Publication that describes the mechanism or its measurement.
     pub source: &'static str,
 }
 
@@ -70,7 +70,7 @@ causes! {
     ["mean"] &[Odd] => "two readings, buffers or lamp phases that alternate"; "frames one by one, at half of the frame rate"; "Janesick 2007"
 }
 
-/// Causes of a law, the likeliest first.
+/// Returns the causes of a law, the likeliest first.
 pub fn of(target: &str, growth: Growth) -> Vec<&'static Cause> {
     CAUSES.iter().filter(|c| c.targets.contains(&target) && c.growth.contains(&growth)).collect()
 }

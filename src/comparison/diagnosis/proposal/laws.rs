@@ -1,4 +1,4 @@
-//! The grammar of laws: what a law may change, and how it may grow.
+//! Grammar of laws: statistics that a law may change, and ways in which it may grow.
 
 use radcam_sim::effects::{Described, Effect, UNBOUNDED, custom};
 use std::sync::LazyLock;
@@ -8,17 +8,17 @@ use std::sync::LazyLock;
 pub struct Target {
     /// Its name.
     pub name: &'static str,
-    /// Name in words; of a noise what stands behind that word.
+    /// Name in words; for a noise, the words after "noise".
     pub words: &'static str,
     /// Its kind.
     pub kind: Kind,
-    /// Targets of a custom effect, and the part of the law that each has.
+    /// Targets of a custom effect, with the part of the law for each.
     pub parts: &'static [(&'static str, f64)],
-    /// True of noise that is added to that of pixels: its size is not negative.
+    /// True for noise that is added to that of pixels: its size is not negative.
     pub adds: bool,
 }
 
-/// Kinds of targets: they differ in unit and in what their size is compared with.
+/// Kinds of targets, which differ in unit and in the reference of their size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Noise of single pixels, DN².
@@ -37,8 +37,8 @@ impl Kind {
     }
 }
 
-/// Every target that a law is looked for in. Noise of a block of two by two is shared by every second pair of
-/// neighbours, and by every fourth pair along a diagonal.
+/// Targets of all laws. Noise of a block of two by two is shared by every second pair of neighbours, and by
+/// every fourth pair along a diagonal.
 pub const TARGETS: &[Target] = &[
     Target {
         name: "variance",
@@ -271,8 +271,8 @@ pub struct Shape {
     pub growth: Growth,
     /// Unit of the size, beyond that of the target.
     per: &'static str,
-    /// Values of the parameters at which a search begins, in the order of their names, from the signals of the
-    /// flats in ascending order, DN.
+    /// Start values of the parameters, in the order of their names, from the signals of the flats in
+    /// ascending order, DN.
     starts: fn(&[f64]) -> Vec<Vec<f64>>,
 }
 
@@ -311,22 +311,23 @@ fn hundredth(_: &[f64]) -> Vec<Vec<f64>> {
     vec![vec![0.01]]
 }
 
-/// Powers between those that have a shape of their own.
+/// Returns starts at powers between those that have a shape of their own.
 fn powers(_: &[f64]) -> Vec<Vec<f64>> {
     [1.3, 1.7, 2.5, 3.5].map(|p| vec![1.0, p]).into()
 }
 
-/// Steps that are tried.
+/// Maximum number of steps tried.
 const MOST_STEPS: usize = 12;
 
-/// A step between neighbouring levels. Its place is not fitted: nothing changes until it passes a level.
+/// Returns starts with a step between neighbouring levels. Its place is not fitted: nothing changes until it
+/// passes a level.
 fn steps(levels_dn: &[f64]) -> Vec<Vec<f64>> {
     let between: Vec<f64> = levels_dn.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect();
     let every = between.len().div_ceil(MOST_STEPS).max(1);
     between.into_iter().step_by(every).map(|m| vec![1.0, m]).collect()
 }
 
-/// Waves of a few periods over the range; sine and cosine of each.
+/// Returns starts with a few periods over the range; sine and cosine of each.
 fn waves(levels_dn: &[f64]) -> Vec<Vec<f64>> {
     let peak_dn = levels_dn.last().copied().unwrap_or(1.0).max(1.0);
     let of = |periods: f64| [0.0, 1.57].map(|f| vec![f, 1.0, peak_dn / periods]);
@@ -486,7 +487,7 @@ pub struct Law {
 }
 
 impl Law {
-    /// Name in a few words.
+    /// Returns the name in a few words.
     pub fn in_short(&self) -> String {
         match self.target.kind {
             Kind::Level => format!("a level that is {}", self.shape.words),
@@ -494,13 +495,13 @@ impl Law {
         }
     }
 
-    /// Places where a search begins. `levels_dn`: signals of the flats in ascending order.
+    /// Returns the start values. `levels_dn`: signals of the flats in ascending order.
     pub fn starts(&self, levels_dn: &[f64]) -> Vec<Vec<f64>> {
         (self.shape.starts)(levels_dn)
     }
 }
 
-/// Names of a shape's parameters.
+/// Returns the names of a shape's parameters.
 fn parameters(formula: &str) -> impl Iterator<Item = &'static str> + '_ {
     // No other letter stands alone in a formula.
     let is_there =
@@ -508,7 +509,7 @@ fn parameters(formula: &str) -> impl Iterator<Item = &'static str> + '_ {
     ["f", "k", "m", "p"].into_iter().filter(is_there)
 }
 
-/// Every law of the grammar.
+/// Returns every law of the grammar.
 pub fn all() -> &'static [Law] {
     static ALL: LazyLock<Vec<Law>> = LazyLock::new(make);
     &ALL
@@ -525,14 +526,15 @@ fn make() -> Vec<Law> {
     TARGETS.iter().flat_map(of).collect()
 }
 
-/// True of what the paper's model has already: noise of single pixels that is constant or in proportion to the
-/// signal or to the noise is another read noise or gain. Nor do lines have a share of the noise of pixels.
+/// Returns true for a law that the paper's model already has: noise of single pixels that is constant or in
+/// proportion to the signal or to the noise is another read noise or gain. Lines have no share of the noise
+/// of pixels either.
 fn is_of_model(target: &Target, shape: &Shape) -> bool {
     let is_scaled = matches!(shape.growth, Growth::Constant | Growth::Signal | Growth::Noise);
     target.kind == Kind::Pixels && is_scaled || target.kind == Kind::Lines && shape.growth == Growth::Noise
 }
 
-/// Formula of a part of a law.
+/// Returns the formula of a part of a law.
 pub fn part_of(part: f64, formula: &str) -> String {
     match part {
         1.0 => formula.into(),
@@ -554,7 +556,7 @@ fn law(target: &'static Target, shape: &'static Shape) -> Option<Law> {
         _ => "1".into(),
     };
     let units = names.iter().map(|name| (owned(name), unit(name))).collect();
-    // Lines, frames and blocks have no noise in the model of which less could be there.
+    // The model has no noise of lines, frames or blocks: there cannot be less of it.
     let least = if target.adds { 0.0 } else { -UNBOUNDED };
     let bound = |name: &&str| match *name {
         "k" => Some([least, UNBOUNDED]),

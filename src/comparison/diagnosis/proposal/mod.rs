@@ -1,9 +1,9 @@
-//! A law for what has no name: formulas that describe it, chosen by the evidence that they bring to all frames,
-//! and judged as any model is, on frames that its fit did not see.
+//! Law for a nameless effect: formulas chosen by the evidence that they bring to all frames, and judged like
+//! any model, on held-out frames.
 //!
-//! Structure is chosen by evidence with the price of every parameter and of the number of laws that were tried
-//! (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 773), one law after the other, as long as the campaign does
-//! not agree.
+//! Evidence selects the structure, with the price of every parameter and of the number of laws that were
+//! tried (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 773). Laws are added one by one, as long as the
+//! campaign does not agree.
 
 mod causes;
 mod laws;
@@ -25,25 +25,25 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Maximum number of laws in a proposal; they are no rivals of more names than that.
+/// Maximum number of laws in a proposal; laws do not compete with more names than that.
 pub(super) const MAX_LAWS: usize = 3;
-/// Maximum number of laws that are fitted for a few rounds, of those that promise most, and of these to the end.
+/// Maximum number of the most promising laws that are fitted for a few rounds, and of these to convergence.
 const MAX_FITTED: [usize; 2] = [8, 3];
-/// Maximum error of a model beside which a law is looked for (a named choice: where nothing comes near, fits end
-/// far from where they began).
+/// Maximum error of a model beside which a law is searched for (a named choice: where nothing comes near,
+/// fits end far from where they began).
 const MAX_ERROR: f64 = 30.0;
 /// Maximum share of their noise that two pixels have in common by a law (a named choice).
 const MAX_SHARED: f64 = 0.5;
-/// Evidence by which a law of another shape may fall short of the best and still be the simpler one: none are
-/// preferred beyond chance (Kass and Raftery 1995, section 3.2: not worth more than a bare mention).
+/// Maximum evidence by which a simpler law of another shape may fall short of the best: neither is preferred
+/// beyond chance (Kass and Raftery 1995, section 3.2: not worth more than a bare mention).
 const ALIKE: f64 = 2.0;
-/// Maximum share of the misfit that a law may leave and still be said where it is rejected (a named choice).
+/// Maximum share of the misfit that a rejected law may leave and still be reported (a named choice).
 const MAX_LEFT: f64 = 0.5;
 
 /// Name of the effect that a proposal makes.
 pub const LAW: &str = "law";
 
-/// A law for what the named effects, or the model as given, leave.
+/// Law for the misfit that the named effects, or the model as given, leave.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Proposal {
@@ -51,15 +51,15 @@ pub struct Proposal {
     pub formulas: BTreeMap<String, String>,
     /// Parameters of the formulas.
     pub parameters: BTreeMap<String, Quantity>,
-    /// Named effects beside it; none where it stands in their place.
+    /// Named effects beside it; none if it replaces them.
     pub beside: Vec<String>,
-    /// Error of the model with the effects beside it alone, on frames that no fit saw.
+    /// Error on held-out frames of the model with only the effects beside it.
     #[serde(with = "finite")]
     pub error_before: f64,
-    /// Error with it.
+    /// Error with the law.
     #[serde(with = "finite")]
     pub error_after: f64,
-    /// Chance of what is left with it.
+    /// Chance of the remaining residuals.
     #[serde(with = "finite")]
     pub p_value: f64,
     /// Law in words.
@@ -68,10 +68,10 @@ pub struct Proposal {
     pub causes: Vec<String>,
     /// Measurement that separates the causes.
     pub next_measurement: Option<String>,
-    /// Errors of an EMVA 1288 evaluation that leaves it out of account.
+    /// Errors of an EMVA 1288 evaluation that ignores it.
     pub cost: Cost,
-    /// Share of the gain by which it may be off where noise that pixels share comes from a filter that mixes
-    /// them, and not from noise that is added.
+    /// Relative error of the gain if the noise that pixels share comes from a filter that mixes them, and not
+    /// from noise that is added.
     #[serde(with = "finite")]
     pub gain_open_rel: f64,
     /// The model with it: named effects first, then its laws.
@@ -89,7 +89,7 @@ pub struct Proposal {
 }
 
 impl Proposal {
-    /// Laws as effects of a model file; `taken`: names that other effects of the file have.
+    /// Returns the laws as effects of a model file; `taken`: names of other effects in the file.
     pub fn laws(&self, taken: &[&str]) -> Vec<EffectValues> {
         let numbered = (2..).map(|number| format!("{LAW}-{number}"));
         let names = std::iter::once(LAW.to_string()).chain(numbered).filter(|n| !taken.contains(&n.as_str()));
@@ -100,17 +100,17 @@ impl Proposal {
             .collect()
     }
 
-    /// Verifies that the campaign agrees with it.
+    /// Returns true if the campaign agrees with it.
     pub fn holds(&self) -> bool {
         self.p_value >= DOUBT
     }
 
-    /// Verifies that it has more than one formula.
+    /// Returns true if it has more than one formula.
     pub fn has_several(&self) -> bool {
         self.laws.len() > 1
     }
 
-    /// Base and effects beside it, as fitted with it.
+    /// Returns the base and the effects beside it, as fitted with it.
     pub fn beside_it(&self) -> Option<Fitted> {
         let mut fitted = self.fitted.clone()?;
         fitted.effects.truncate(self.effects);
@@ -118,7 +118,7 @@ impl Proposal {
         Some(fitted)
     }
 
-    /// Sentence with the law and what it does to the error.
+    /// Returns a sentence with the law and its effect on the error.
     pub fn sentence(&self) -> String {
         let of_it = if self.p_value < P_LIMIT { ", which is not all of it" } else { "" };
         let (before, after) = (self.error_before, self.error_after);
@@ -141,12 +141,12 @@ pub(super) struct Found {
 }
 
 impl Found {
-    /// Sentence on laws that explain a campaign better than its names, where they do: by more evidence than a tie
-    /// has; by more than a hundredth of what the names have, whose shapes are known no better, unless the names
-    /// are rejected and the laws hold; without being rejected where the names are not, and without a larger error
-    /// on frames that no fit saw. `given`: the model without either.
+    /// Returns a sentence on laws that explain a campaign better than its names, if they do. They need more
+    /// evidence than a tie, and more than a hundredth of that of the names, whose shapes are known no better,
+    /// unless the names are rejected and the laws hold. They must not be rejected where the names are not,
+    /// nor have a larger error on held-out frames. `given`: the model without either.
     pub fn better(&self, all: &Observations, given: &Fitted, whole: &Fitted) -> Option<String> {
-        // A bend of the response and a law of the level are one thing in two shapes.
+        // A bend of the response and a law of the level are the same in two shapes.
         let bends = whole.effects.iter().skip(given.effects.len()).any(|(e, _)| e.bends_means());
         if bends && self.laws.iter().all(|law| law.target.kind == Kind::Level) {
             return None;
@@ -165,7 +165,7 @@ impl Found {
         })
     }
 
-    /// Verifies that no pair of pixels shares more than half of their noise: fits go astray where little is
+    /// Returns true if no pair of pixels shares more than half of its noise: fits go astray where little is
     /// measured.
     fn is_possible(&self, all: &Observations) -> bool {
         let first = self.fitted.effects.len() - self.laws.len();
@@ -179,18 +179,18 @@ impl Found {
     }
 }
 
-/// Minus twice the logarithm of the evidence of named effects, with the price of each addition.
+/// Computes minus twice the logarithm of the evidence of named effects, with the price of each addition.
 fn of_names(all: &Observations, given: &Fitted, whole: &Fitted) -> f64 {
     score(all, whole) + NEEDED * (whole.effects.len() - given.effects.len()) as f64
 }
 
-/// Laws beside the model as given, in place of all names.
+/// Finds laws beside the model as given, in place of all names.
 pub(super) fn in_place_of_names(all: &Observations, given: &Fitted) -> Option<Found> {
     found(all, given, laws::all())
 }
 
-/// Looks for a law. `given`: the model as given; `whole`: with the named effects; `in_place`: laws beside the
-/// model as given, where names are in doubt, so that a law may stand in their place.
+/// Searches for a law. `given`: the model as given; `whole`: with the named effects; `in_place`: laws beside
+/// the model as given that may replace doubtful names.
 pub(super) fn propose(
     all: &Observations,
     given: &Fitted,
@@ -224,7 +224,7 @@ pub(super) fn propose(
 
 /// Adds laws to a model one by one, as long as the evidence pays for them and the campaign does not agree.
 fn found(all: &Observations, model: &Fitted, laws: &[Law]) -> Option<Found> {
-    // A table has a few numbers for each level, and any of many laws follows them.
+    // A table has a few numbers for each level, and any of many laws fits them.
     if all.is_table || compare(all, model).error > MAX_ERROR {
         return None;
     }
@@ -251,7 +251,7 @@ fn found(all: &Observations, model: &Fitted, laws: &[Law]) -> Option<Found> {
         .filter(|found| found.is_possible(all))
 }
 
-/// Signals of the flats in ascending order, DN.
+/// Returns the signals of the flats in ascending order, DN.
 fn levels(all: &Observations, model: &Fitted) -> Vec<f64> {
     let prediction = model.predict(all);
     let sets = prediction.sets.iter().zip(&all.campaign.sets);
@@ -260,13 +260,14 @@ fn levels(all: &Observations, model: &Fitted) -> Vec<f64> {
     levels
 }
 
-/// Size of a law: the parameter k of an effect of a model.
+/// Returns the size of a law: the parameter k of an effect of a model.
 fn size_of(fitted: &Fitted, at: usize) -> f64 {
     let (effect, values) = &fitted.effects[at];
     effect.parameters().iter().position(|p| p.name == "k").map_or(0.0, |k| values[k])
 }
 
-/// The best law beside those that a model has; none whose size cancels that of another of the same target.
+/// Finds the best law beside those of a model. Its size must not cancel that of another law of the same
+/// target.
 fn next(
     all: &Observations,
     now: &Fitted,
@@ -312,7 +313,7 @@ fn next(
         .collect();
     done.sort_by(|a, b| a.0.total_cmp(&b.0));
     let best = done.first()?.0;
-    // First of the grammar among those that explain it as well: simple shapes stand first.
+    // First of the grammar among equally good laws: simple shapes stand first.
     let place = |law: &Law| laws.iter().position(|l| l.effect.id() == law.effect.id());
     done.into_iter()
         .filter(|(score, ..)| score - best < ALIKE)
@@ -320,7 +321,7 @@ fn next(
         .map(|(_, law, fitted)| (law, fitted))
 }
 
-/// A found law in formulas and words. `named`: named effects beside it.
+/// Describes a found law in formulas and words. `named`: number of named effects beside it.
 fn described(all: &Observations, found: Found, named: usize, [before, after]: [&Comparison; 2]) -> Proposal {
     let fitted = &found.fitted;
     let first = fitted.effects.len() - found.laws.len();
@@ -335,7 +336,7 @@ fn described(all: &Observations, found: Found, named: usize, [before, after]: [&
             let name =
                 if found.laws.len() == 1 { p.name.into() } else { format!("{}{}", p.name, number + 1) };
             formula = renamed(&formula, p.name, &name);
-            // The place of a step lies anywhere between two levels.
+            // A step may lie anywhere between two levels.
             let is_open = law.shape.growth == Growth::Step && p.name == "m";
             let std_err = if is_open { f64::NAN } else { *error };
             parameters.insert(name, Quantity { value: *value, std_err, unit: p.unit.into() });
@@ -378,7 +379,7 @@ fn described(all: &Observations, found: Found, named: usize, [before, after]: [&
     }
 }
 
-/// A formula with one of its parameters under another name.
+/// Renames one of the parameters of a formula.
 fn renamed(formula: &str, from: &str, to: &str) -> String {
     let is_of_name = |c: char| c.is_ascii_alphanumeric() || c == '_';
     let (mut out, mut word) = (String::new(), String::new());
@@ -394,7 +395,7 @@ fn renamed(formula: &str, from: &str, to: &str) -> String {
     out.trim_end().into()
 }
 
-/// A law of a fit as an effect of a model file.
+/// Returns a law of a fit as an effect of a model file.
 fn as_effect(fitted: &Fitted, at: usize, law: &Law) -> EffectValues {
     let (effect, values) = &fitted.effects[at];
     let names = || effect.parameters().iter().map(|p| p.name.to_string());
@@ -415,7 +416,7 @@ fn as_effect(fitted: &Fitted, at: usize, law: &Law) -> EffectValues {
     }
 }
 
-/// A law as a sentence of physics, with its size where it is largest.
+/// Describes a law as a sentence of physics, with its size where it is largest.
 fn in_words(all: &Observations, fitted: &Fitted, at: usize, law: &Law) -> String {
     let (effect, values) = &fitted.effects[at];
     let parameter = |name: &str| {
@@ -466,10 +467,10 @@ fn in_words(all: &Observations, fitted: &Fitted, at: usize, law: &Law) -> String
     }
 }
 
-/// Sum of the covariances that laws give a pixel with all others, over its variance, at the brightest level below
-/// saturation, of laws that grow with signal or noise. A filter that keeps the mean leaves so much less of the
-/// variance (Moore, Ninkov and Forrest 2006, Opt. Eng. 45, 076402); noise that is added leaves it. `kept`:
-/// effects of the model before its laws.
+/// Computes the sum of the covariances that laws give a pixel with all others, over its variance, at the
+/// brightest level below saturation, for laws that grow with signal or noise. A filter that keeps the mean
+/// lowers the variance by as much (Moore, Ninkov and Forrest 2006, Opt. Eng. 45, 076402); added noise does
+/// not. `kept`: number of effects of the model before its laws.
 fn mixed(all: &Observations, fitted: &Fitted, kept: usize, laws: &[Law]) -> f64 {
     let grows = |law: &Law| {
         let shared = law.target.kind == Kind::Shared;
@@ -490,7 +491,8 @@ fn mixed(all: &Observations, fitted: &Fitted, kept: usize, laws: &[Law]) -> f64 
     if open.is_finite() { open } else { 0.0 }
 }
 
-/// Share of a pixel's noise variance that a law of noise changes or shares in a set, with its sign.
+/// Computes the share of a pixel's noise variance that a law of noise changes or shares in a set, with its
+/// sign.
 fn part_of_variance(law: &Law, [with, without]: [&Prediction; 2], set: usize) -> f64 {
     let (a, b): (&SetPrediction, &SetPrediction) = (&with.sets[set], &without.sets[set]);
     let target = law.target.parts.first().map_or("", |part| part.0);

@@ -1,16 +1,16 @@
-//! A law as an effect of a user's own, which joins the catalogue.
+//! A law as a user's own effect, which joins the catalogue.
 
 use super::Proposal;
 use crate::number::six_digits;
 use radcam_sim::effects::{OwnEffect, OwnPage, UNBOUNDED};
 
-/// A value in six digits, which its error does not reach.
+/// Rounds a value to six digits, which its error does not reach.
 fn rounded(value: f64) -> f64 {
     six_digits(value).parse().unwrap_or(value)
 }
 
 impl Proposal {
-    /// The law as an effect of this name. `campaign`: name of the datasets that show it.
+    /// Returns the law as an effect of this name. `campaign`: name of the datasets that show it.
     pub fn own_effect(&self, name: &str, campaign: &str) -> OwnEffect {
         let mut own = OwnEffect { name: name.into(), formulas: self.formulas.clone(), ..Default::default() };
         for (number, law) in self.laws.iter().enumerate() {

@@ -5,7 +5,7 @@ use crate::diagnosis::{Diagnosis, Missing, Rung};
 use crate::inference::{Comparison, Fitted};
 
 impl Diagnosis {
-    /// Model that describes the campaign, with its comparison: with the law where that holds.
+    /// Returns the model that describes the campaign, with its comparison; with the law if it holds.
     pub fn described(&self) -> (Option<&Fitted>, Option<&Comparison>) {
         match self.proposal.as_ref().filter(|law| law.holds()) {
             Some(law) => (law.fitted.as_ref(), law.comparison.as_ref()),
@@ -13,7 +13,7 @@ impl Diagnosis {
         }
     }
 
-    /// Ladder to that model.
+    /// Returns the ladder to that model.
     pub fn ladder_with_law(&self) -> Vec<Rung> {
         let mut ladder = self.ladder.clone();
         if let Some(law) = self.proposal.as_ref().filter(|law| law.holds()) {
@@ -27,8 +27,8 @@ impl Diagnosis {
 }
 
 impl Proposal {
-    /// Gives `unknown`, where it stands first, the cost of a law that holds, and the whole misfit where the law
-    /// stands in the place of all names.
+    /// Gives `unknown`, if it stands first, the cost of a law that holds, and the whole misfit if the law
+    /// replaces all names.
     pub(in crate::comparison::diagnosis) fn say_in(&self, missing: &mut [Missing]) {
         let Some((unknown, names)) = missing.split_first_mut().filter(|(m, _)| m.effect == "unknown") else {
             return;
