@@ -7,17 +7,17 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Square {
-    /// What it is called.
+    /// Name.
     pub name: String,
     /// Mean reflectance R relative to the card, one number, or one for each band.
     pub reflectance: Vec<f64>,
-    /// How its paint varies.
+    /// Variation of the paint.
     #[serde(default)]
     pub texture: Texture,
 }
 
-/// The six squares that a bench has where its file names none: greys of a chart, whose variation has nothing to do with
-/// how bright they are.
+/// Returns the six squares of a bench whose file names none: greys of a chart whose variation is unrelated to
+/// their brightness.
 pub(crate) fn default_chart() -> Vec<Square> {
     let square = |(name, reflectance, grain): (&str, f64, f64)| Square {
         name: name.into(),

@@ -1,8 +1,8 @@
-//! What a limit leaves of normal noise.
+//! Moments of normal noise after a limit.
 
 use crate::normal::PLACES;
 
-/// What clipping leaves of normal noise in pixels whose levels differ.
+/// Moments of clipped normal noise over pixels whose levels differ.
 #[derive(Default)]
 pub(crate) struct Clipped {
     pub mean: f64,
@@ -12,24 +12,24 @@ pub(crate) struct Clipped {
     pub unequal: f64,
     /// Mean of the pixels' fourth cumulants.
     pub fourth: f64,
-    /// Share of the samples that were cut.
+    /// Share of the samples that are clipped.
     pub above: f64,
-    /// Mean of what was cut off.
+    /// Mean of the excess that is cut off.
     pub lost: f64,
-    /// Mean of the pixels' variances of what was cut off.
+    /// Mean of the pixels' variances of the excess that is cut off.
     pub lost_variance: f64,
 }
 
 impl Clipped {
-    /// Model uncertainty of the variance of the pixels' variances, where `less` of the variance is left and `rest` is all noise that
-    /// is: a few pixels in the tails have most of it.
+    /// Returns the model uncertainty of the variance of the pixels' variances. `less` is the share of the
+    /// variance that is left, `rest` all noise that is left. A few pixels in the tails have most of it.
     pub fn unsure(&self, less: f64, rest: f64) -> f64 {
         3.0 * (1.0 - less) * rest * rest + self.above * self.unequal
     }
 }
 
-/// min(x, limit) of normal x: moments of a truncated normal variable (Johnson, Kotz and Balakrishnan 1994, 13.10) and of the mass
-/// at the limit.
+/// Computes the moments of min(x, limit) for normal x: those of a truncated normal variable (Johnson, Kotz
+/// and Balakrishnan 1994, 13.10) and of the mass at the limit.
 pub(crate) fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     let sd = libm::sqrt(variance.max(1e-12));
     let c = (limit - mean) / sd;
@@ -37,14 +37,14 @@ pub(crate) fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
         return Clipped { mean, variance, ..Clipped::default() };
     }
     if c < -8.0 {
-        // Of all of it only the limit is left; the moments below would be differences of large numbers.
+        // Only the limit is left; the moments below would be differences of large numbers.
         let lost = mean - limit;
         return Clipped { mean: limit, above: 1.0, lost, lost_variance: variance, ..Clipped::default() };
     }
     let below = 0.5 * libm::erfc(-c / std::f64::consts::SQRT_2);
     let above = 0.5 * libm::erfc(c / std::f64::consts::SQRT_2);
     let density = libm::exp(-0.5 * c * c) / libm::sqrt(std::f64::consts::TAU);
-    // What is cut off has the mean `lost`; what is left, the opposite of it.
+    // The excess that is cut off has the mean `lost`; the remainder has the opposite mean.
     let lost = density - c * above;
     let [first, second, third, fourth] = [
         -lost,
@@ -65,22 +65,22 @@ pub(crate) fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     }
 }
 
-/// Limit that is approached from a knee on: v' = limit - w exp(-(v - knee) / w), w = limit - knee. A named choice
-/// of shape, with the slope 1 at the knee; wells that fill slowly differ in theirs.
+/// Soft limit above a knee: v' = limit - w exp(-(v - knee) / w), w = limit - knee. A named choice of shape,
+/// with the slope 1 at the knee; wells that fill slowly have other shapes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SoftLimit {
     pub knee: f64,
     pub limit: f64,
 }
 
-/// Nodes of the trapezoidal rule over normal noise, and standard errors that they reach: that rule's error falls
-/// faster than any power of the step for smooth curves (Trefethen and Weideman 2014), and a kink as sharp as the
-/// limit may be leaves 1e-4 of the variance.
+/// Nodes of the trapezoidal rule over normal noise, and its range in standard deviations. The rule's error
+/// falls faster than any power of the step for smooth curves (Trefethen and Weideman 2014); a kink as sharp
+/// as the limit may be leaves 1e-4 of the variance.
 const NOISE_NODES: i32 = 40;
 const NOISE_REACH: f64 = 5.0;
 
 impl SoftLimit {
-    /// Value that is left of one before the limit.
+    /// Returns the value after the limit.
     pub fn of(&self, value: f64) -> f64 {
         let rest = self.limit - self.knee;
         let over = value - self.knee;
@@ -93,14 +93,15 @@ impl SoftLimit {
         }
     }
 
-    /// Slope at a value, between 0 and 1.
+    /// Returns the slope at a value, between 0 and 1.
     fn slope(&self, value: f64) -> f64 {
         let rest = self.limit - self.knee;
         let over = value - self.knee;
         if over <= 0.0 { 1.0 } else { libm::exp(-over / rest.max(1e-300)) }
     }
 
-    /// Moments of normal noise after the limit; `above` is the part of a small change that is lost.
+    /// Computes the moments of normal noise after the limit; `above` is the share of a small change that is
+    /// lost.
     fn cut(&self, mean: f64, variance: f64) -> Clipped {
         let sd = libm::sqrt(variance.max(1e-12));
         if self.knee - mean > 8.0 * sd {
@@ -133,7 +134,8 @@ impl SoftLimit {
     }
 }
 
-/// min(x, limit) for normal noise in pixels whose means have the deviation `spread` and lie at these places.
+/// Computes the moments of min(x, limit) for normal noise in pixels whose means have the deviation `spread`
+/// and lie at these places.
 pub(crate) fn clipped(
     mean: f64,
     spread: f64,
@@ -144,7 +146,7 @@ pub(crate) fn clipped(
     over_places(places.map(|x| cut(mean + spread * x, variance, limit)))
 }
 
-/// Soft limit for the same noise and pixels.
+/// Computes the moments after a soft limit for the same noise and pixels.
 pub(crate) fn clipped_softly(
     mean: f64,
     spread: f64,
@@ -174,8 +176,8 @@ fn over_places(all: [Clipped; PLACES.len()]) -> Clipped {
 mod tests {
     use super::*;
 
-    /// Mean, variance, fourth cumulant and lost part of the slope by numerical integration (scipy 1.11,
-    /// integrate.quad), for normal noise on, below and across the knee.
+    /// Mean, variance, fourth cumulant and lost part of the slope, compared with numerical integration (scipy
+    /// 1.11, integrate.quad), for normal noise on, below and across the knee.
     #[test]
     fn a_soft_limit_is_what_integration_gives() {
         let known = [
@@ -186,7 +188,7 @@ mod tests {
         for ((mean, variance, knee, limit), [m, v, fourth, lost]) in known {
             let got = SoftLimit { knee, limit }.cut(mean, variance);
             let sd = f64::sqrt(variance);
-            // A kink between two nodes of the rule: 1e-3 of the noise.
+            // Error of a kink between two nodes of the rule: 1e-3 of the noise.
             assert!((got.mean - m).abs() < 1e-3 * sd, "{} {m}", got.mean);
             assert!((got.variance - v).abs() < 2e-3 * variance, "{} {v}", got.variance);
             assert!((got.fourth - fourth).abs() < 5e-3 * variance * variance, "{} {fourth}", got.fourth);
@@ -194,10 +196,10 @@ mod tests {
         }
     }
 
-    /// Against numerical integration of min(x, limit) by scipy 1.14.
+    /// Compared with numerical integration of min(x, limit) by scipy 1.14.
     #[test]
     fn cut_noise_is_what_integration_gives() {
-        // Limit; mean, variance, fourth cumulant of what is left; share above; variance of what is lost.
+        // Limit; mean, variance, fourth cumulant of the remainder; share above; variance of the excess.
         let known = [
             (
                 -1.0,

@@ -1,4 +1,4 @@
-//! Frames of a camera, and what their statistics should be.
+//! Simulated frames of a camera, and their expected statistics.
 
 #![allow(clippy::needless_range_loop)] // lanes are indexed: the shape that vectorises
 
@@ -13,7 +13,7 @@ use ndarray::Array2;
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// All that the physics of one frame depends on, beside the model and the frame's number.
+/// Conditions of one frame, beside the model and the frame's number.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Conditions {
     /// Exposure time T, s.
@@ -22,7 +22,7 @@ pub struct Conditions {
     pub illumination: f64,
     /// Position of card and lamp (Section V of the paper).
     pub configuration: u32,
-    /// What the camera looks at.
+    /// Scene before the camera.
     pub scene: Scene,
     /// Temperature of the sensor, degrees Celsius.
     pub temperature_c: f64,
@@ -49,9 +49,9 @@ type LightKey = (Scene, u32);
 pub struct Sensor {
     model: Model,
     maps: Maps,
-    /// The light last asked for; a bench stands still for many frames.
+    /// Light map used last; a bench stands still for many frames.
     light: Mutex<Option<(LightKey, Arc<Array2<f32>>)>>,
-    /// What effects keep from the frame drawn last.
+    /// Images that effects keep from the frame drawn last.
     memory: Mutex<Memory>,
     /// Setting of light and exposure of the frame drawn last, and its number.
     setting: Mutex<(Option<Setting>, u64)>,
@@ -59,7 +59,7 @@ pub struct Sensor {
     effects: Vec<(&'static dyn Effect, Vec<f64>)>,
 }
 
-/// The numbers of one frame that are the same for every pixel.
+/// Constants of one frame, the same for every pixel.
 #[derive(Clone, Copy)]
 struct Scalars {
     seed: u64,
@@ -81,20 +81,20 @@ struct Row<'a> {
     dark_current: &'a [f32],
     offset_dn: &'a [f32],
     light: &'a [f32],
-    /// Read noise over its root mean square, where pixels differ in it.
+    /// Read noise over its root mean square, if pixels differ in it.
     read: Option<&'a [f32]>,
 }
 
-/// Pixels that are alike.
+/// Read-noise factors of pixels that are alike.
 const ALIKE: [f32; LANES] = [1.0; LANES];
 
-/// `width` pixels of row `y` of a map, from column `x`.
+/// Returns `width` pixels of row `y` of a map, from column `x`.
 fn span(map: &Array2<f32>, y: usize, x: usize, width: usize) -> &[f32] {
     let from = y * map.ncols() + x;
     &map.as_slice().expect("maps are made in row-major order")[from..from + width]
 }
 
-/// The chain of eq. (20) for one row: light and dark to charge, charge to voltage, voltage to code.
+/// Simulates the chain of eq. (20) for one row: light and dark to charge, charge to voltage, voltage to code.
 #[inline(always)]
 fn draw_row(s: &Scalars, row: Row<'_>, out: &mut [u16]) {
     let (uniformity, uniformity_rest) = row.uniformity.as_chunks::<LANES>();
@@ -122,7 +122,7 @@ fn draw_row(s: &Scalars, row: Row<'_>, out: &mut [u16]) {
     }
 }
 
-/// Eq. (20) for [`LANES`] consecutive pixels.
+/// Simulates eq. (20) for [`LANES`] consecutive pixels.
 #[inline(always)]
 fn draw_block(
     s: &Scalars,
@@ -154,13 +154,13 @@ fn draw_block(
     codes
 }
 
-/// Some rows of a frame: the piece of work that one thread takes.
+/// Band of rows of a frame: the unit of work of one thread.
 struct Band<'a> {
     sensor: &'a Sensor,
     light: &'a Array2<f32>,
     scalars: Scalars,
     region: Region,
-    /// Counted from the top of the region.
+    /// First row, counted from the top of the region.
     first_row: usize,
     out: &'a mut [u16],
 }
@@ -189,7 +189,7 @@ impl pulp::NullaryFnOnce for Band<'_> {
     }
 }
 
-/// What makes a setting another one.
+/// Key of a setting: exposure, illumination, scene and configuration.
 type Setting = (u64, u64, Scene, u32);
 
 impl std::fmt::Debug for Sensor {
@@ -203,7 +203,7 @@ impl Sensor {
     ///
     /// # Errors
     ///
-    /// What is wrong with the model.
+    /// The model is invalid; the message says what is wrong.
     pub fn new(model: Model) -> Result<Self, ModelError> {
         model.check()?;
         let maps = Maps::new(&model);
@@ -223,22 +223,23 @@ impl Sensor {
         })
     }
 
-    /// The model.
+    /// Returns the model.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// The per-pixel maps.
+    /// Returns the per-pixel maps.
     pub fn maps(&self) -> &Maps {
         &self.maps
     }
 
-    /// The whole sensor.
+    /// Returns the whole sensor.
     pub fn region(&self) -> Region {
         Region { x: 0, y: 0, width: self.model.camera.width, height: self.model.camera.height }
     }
 
-    /// Conditions at which the camera starts: the card at illumination 1, nominal gain and black level.
+    /// Returns the conditions at which the camera starts: the card at illumination 1, nominal gain and black
+    /// level.
     pub fn conditions(&self, exposure_s: f64) -> Conditions {
         Conditions {
             exposure_s,
@@ -265,7 +266,8 @@ impl Sensor {
         }
     }
 
-    /// Number of the setting of light and exposure: frames that follow one another under the same belong to one.
+    /// Returns the number of the setting of light and exposure. Successive frames of the same setting share
+    /// it.
     fn setting(&self, c: &Conditions) -> u64 {
         let key = (c.exposure_s.to_bits(), c.illumination.to_bits(), c.scene, c.configuration);
         let mut known = self.setting.lock().unwrap_or_else(PoisonError::into_inner);
@@ -298,12 +300,12 @@ impl Sensor {
 
     /// Draws frame number `frame` of `region` into `out`, row by row, `width * height` codes in DN.
     ///
-    /// A pixel's code depends on (seed, frame, pixel) and the conditions alone: not on the region, on the
-    /// number of threads, or on what was drawn before. Where the model has effects with memory (image lag, temporal filter), the
-    /// frame drawn last is the one before.
+    /// A pixel's code depends on (seed, frame, pixel) and the conditions alone: not on the region, the number
+    /// of threads or earlier draws. Effects with memory (image lag, temporal filter) are the exception: their
+    /// previous frame is the one drawn last.
     ///
     /// # Panics
-    /// Where the region leaves the sensor or `out` has another length: faults of the caller.
+    /// The region leaves the sensor, or `out` has another length: faults of the caller.
     pub fn draw(&self, frame: u64, conditions: &Conditions, region: Region, out: &mut [u16]) {
         let all = self.region();
         let (width, height) = (region.width as usize, region.height as usize);
@@ -323,7 +325,7 @@ impl Sensor {
             return;
         }
         let arch = pulp::Arch::new();
-        // Bands of about 16,000 pixels: enough work to share, little enough to share evenly.
+        // Bands of about 16,000 pixels: large enough to share, small enough to share evenly.
         let rows_per_band = (16_384 / width).clamp(1, height);
         out.par_chunks_mut(width * rows_per_band).enumerate().for_each(|(band, out)| {
             arch.dispatch(Band {
@@ -337,7 +339,7 @@ impl Sensor {
         });
     }
 
-    /// The chain stage by stage, with every effect at its place.
+    /// Runs the chain stage by stage, with every effect at its stage.
     fn draw_with_effects(
         &self,
         conditions: &Conditions,
@@ -379,7 +381,7 @@ impl Sensor {
                 .for_each(|(e, p)| e.draw(p, d));
         };
         run(&mut d, Stage::Light, Stage::Light);
-        // Shot noise, and the read noise for later.
+        // Shot noise; the read noise is drawn here and added later.
         let mut read = Array2::<f64>::zeros(d.image.raw_dim());
         let all = d.image.as_slice_mut().unwrap_or_default().par_chunks_mut(LANES);
         all.zip(read.as_slice_mut().unwrap_or_default().par_chunks_mut(LANES)).enumerate().for_each(
@@ -406,7 +408,7 @@ impl Sensor {
         let code = |v: f64| libm::ceil(v - 0.5).clamp(0.0, s.full_scale_dn);
         d.image += s.black_level_dn;
         d.image.mapv_inplace(code);
-        // Firmware takes whole codes and hands on whole codes.
+        // Firmware receives and outputs whole codes.
         for (e, p) in effects.iter().filter(|(e, p)| e.stage_with(p) == Stage::Firmware) {
             e.draw(p, &mut d);
             d.image.mapv_inplace(code);
@@ -416,9 +418,10 @@ impl Sensor {
         out.iter_mut().zip(part).for_each(|(o, &v)| *o = code(v) as u16);
     }
 
-    /// Expected mean and temporal variance of every pixel of the whole sensor (eq. 22 and 26 to 28).
+    /// Returns the expected mean and temporal variance of every pixel of the whole sensor (eq. 22 and 26 to
+    /// 28).
     ///
-    /// Holds while the noise is wider than about half a step and nothing clips.
+    /// The result holds while the noise is wider than about half a step and nothing clips.
     pub fn predict(&self, conditions: &Conditions) -> Expected {
         let s = self.scalars(0, conditions);
         let light = self.light(conditions.scene, conditions.configuration);

@@ -1,10 +1,11 @@
-//! Change with time: a straight line, or one that settles, as what warms up does (the first time constant of
-//! a body's way to its surroundings: Newton's law of cooling). Light may change by the same share each second, as
-//! twilight does. Four values: the shape, the change per second, the excess at the start, the time constant.
+//! Drift with time: a straight line, or exponential settling as in a warm-up (the first time constant of a
+//! body's approach to its surroundings: Newton's law of cooling). Light may also change by the same share
+//! each second, as at twilight. The four values are the shape, the change per second, the excess at the start
+//! and the time constant.
 
 use crate::effects::{Parameter, Seen};
 
-/// Choice between the two.
+/// Choice between line and settling.
 pub(crate) const SHAPE: Parameter = Parameter {
     name: "shape",
     meaning: "0: a straight line in time, 1: it settles",
@@ -14,7 +15,7 @@ pub(crate) const SHAPE: Parameter = Parameter {
     starts: &[0.0, 1.0],
 };
 
-/// Choice of light: daylight fades by the same share each second.
+/// Choice for light, which adds a change by the same share each second, as of daylight.
 pub(crate) const SHAPE_OF_LIGHT: Parameter = Parameter {
     meaning: "0: a straight line in time, 1: it settles, 2: it fades or grows by the same share each second",
     max: 2.0,
@@ -22,7 +23,7 @@ pub(crate) const SHAPE_OF_LIGHT: Parameter = Parameter {
     ..SHAPE
 };
 
-/// Time constant of the second.
+/// Time constant of the settling.
 pub(crate) const TAU: Parameter = Parameter {
     name: "tau_s",
     meaning: "shape 1: time constant of the settling",
@@ -32,17 +33,17 @@ pub(crate) const TAU: Parameter = Parameter {
     starts: &[],
 };
 
-/// Change per second of light or gain.
+/// Builds the parameter of the relative change per second of light or gain.
 pub(crate) const fn relative_rate(meaning: &'static str) -> Parameter {
     Parameter { name: "rel_per_s", meaning, unit: "1/s", min: -0.05, max: 0.05, starts: &[1e-4, -1e-4] }
 }
 
-/// Excess of light or gain at the start, up to so much.
+/// Builds the parameter of the relative excess of light or gain at the start, of up to `max`.
 pub(crate) const fn relative_excess(meaning: &'static str, max: f64) -> Parameter {
     Parameter { name: "rel", meaning, unit: "1", min: -max, max, starts: &[0.01] }
 }
 
-/// Time constants that a search starts from, in durations of the campaign.
+/// Start values of the time constant, in durations of the campaign.
 const PARTS: [f64; 2] = [0.1, 0.4];
 
 fn settles(p: &[f64]) -> bool {
@@ -53,7 +54,7 @@ fn fades(p: &[f64]) -> bool {
     p[0].round() as i32 == 2
 }
 
-/// Change at a time.
+/// Returns the change at a time.
 pub(crate) fn change(p: &[f64], time_s: f64) -> f64 {
     if settles(p) {
         p[2] * libm::exp(-time_s / p[3].max(1e-9))
@@ -64,12 +65,12 @@ pub(crate) fn change(p: &[f64], time_s: f64) -> f64 {
     }
 }
 
-/// Use of a parameter by a shape.
+/// Returns true if a shape uses a parameter.
 pub(crate) fn uses(p: &[f64], parameter: usize) -> bool {
     parameter == 0 || (parameter >= 2) == settles(p)
 }
 
-/// The shape in words.
+/// Describes the shape.
 pub(crate) fn form(p: &[f64]) -> &'static str {
     if settles(p) {
         "it settles"
@@ -80,13 +81,13 @@ pub(crate) fn form(p: &[f64]) -> &'static str {
     }
 }
 
-/// Starts with these changes per second, and with this excess.
+/// Returns starts with these changes per second, and with this excess for settling.
 pub(crate) fn starts(rates: &[f64], excess: f64, seen: &Seen) -> Vec<Vec<f64>> {
     let straight = rates.iter().map(|rate| vec![0.0, *rate, 0.0, 1.0]);
     straight.chain(PARTS.map(|part| vec![1.0, 0.0, excess, part * seen.duration_s.max(1e-3)])).collect()
 }
 
-/// Values of a model that gives the change per second alone.
+/// Returns the defaults for a model that gives the change per second alone.
 pub(crate) fn usual(parameter: usize) -> Option<f64> {
     [Some(0.0), None, Some(0.0), Some(1.0)][parameter.min(3)]
 }

@@ -1,12 +1,11 @@
-//! What a camera should see: the physics of an image sensor, from light to digital number.
+//! Physics of an image sensor, from light to digital number.
 //!
 //! The chain is that of Healey and Kondepudy, "Radiometric CCD Camera Calibration and Noise Estimation",
 //! IEEE PAMI 16(3), 1994, eq. (20):
 //!
 //! D(a,b) = (K(a,b) I(a,b) + N_DC(a,b) + N_S(a,b) + N_R(a,b)) A + N_Q(a,b)
 //!
-//! The modules stand in the order in which light travels. Nothing here reads a file, speaks to a camera or
-//! knows how a measurement is made.
+//! Nothing here reads a file, speaks to a camera or knows how a measurement is made.
 //!
 //! ```
 //! use radcam_sim::{Sensor, sensors};

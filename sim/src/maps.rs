@@ -1,4 +1,4 @@
-//! What differs from pixel to pixel and stays from frame to frame.
+//! Spatial nonuniformity: per-pixel maps that stay from frame to frame.
 
 use crate::model::Model;
 use crate::rng::{PixelRng, Stream};
@@ -8,13 +8,13 @@ use rayon::prelude::*;
 /// Per-pixel maps of a sensor, each (rows, columns), drawn from the seed.
 #[derive(Debug, Clone)]
 pub struct Maps {
-    /// K(a,b), mean 1 over the sensor (eq. 2); then 0 of dead and optically black pixels.
+    /// K(a,b), mean 1 over the sensor (eq. 2); dead and optically black pixels are then set to 0.
     pub uniformity: Array2<f32>,
     /// Dark current over its mean.
     pub dark_current: Array2<f32>,
     /// Offset from the black level, DN.
     pub offset_dn: Array2<f32>,
-    /// Read noise over its root mean square; `None`: pixels are alike.
+    /// Read noise over its root mean square; `None`: all pixels are alike.
     pub read_noise: Option<Array2<f32>>,
 }
 
@@ -27,7 +27,7 @@ fn map(model: &Model, value: impl Fn(u32) -> f64 + Sync) -> Array2<f32> {
     out
 }
 
-/// Log-normal, some pixels noisier still, with mean square 1.
+/// Draws the read-noise map: log-normal, some pixels noisier still, with mean square 1.
 fn read_noise(model: &Model) -> Option<Array2<f32>> {
     let base = &model.base;
     if base.read_noise_log_spread == 0.0 && base.noisy_pixel_fraction == 0.0 {
@@ -47,7 +47,7 @@ fn read_noise(model: &Model) -> Option<Array2<f32>> {
     Some(all)
 }
 
-/// Pixels without response: dead ones anywhere, and the black reference at the left edge.
+/// Sets K to 0 for pixels without response: dead ones anywhere, and the black reference at the left edge.
 fn blind(model: &Model, uniformity: &mut Array2<f32>) {
     let base = &model.base;
     if base.dead_pixel_fraction == 0.0 && base.black_columns == 0 {

@@ -1,4 +1,4 @@
-//! A camera as a list of numbers: what a TOML file of `src/sensors/` holds.
+//! Camera model: the content of a TOML file of `src/sensors/`.
 //!
 //! The base of every model is the paper's: D = (K I + N_DC + N_S + N_R) A + N_Q (Healey and Kondepudy 1994,
 //! eq. 6 and 20), with a black level added before conversion, which the paper's camera does not have.
@@ -17,7 +17,7 @@ pub const FORMAT: &str = "radcam-model/1";
 /// Identifier of an effect made of formulas.
 const CUSTOM: &str = "custom";
 
-/// Pixels of the largest sensor: its maps take 4 GB.
+/// Maximum number of pixels of a sensor: its maps take 4 GB.
 const MAX_PIXELS: f64 = 268_435_456.0;
 
 /// A model: the camera, its physics, and the bench it stands on.
@@ -26,10 +26,10 @@ const MAX_PIXELS: f64 = 268_435_456.0;
 pub struct Model {
     /// [`FORMAT`].
     pub format: String,
-    /// What this camera is, in a sentence.
+    /// Description of the camera, in a sentence.
     #[serde(default)]
     pub about: String,
-    /// What the camera says of itself.
+    /// Data that the camera reports about itself.
     pub camera: Body,
     /// The paper's model.
     pub base: Base,
@@ -52,7 +52,7 @@ pub struct EffectValues {
     /// Name of a custom effect.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Formulas of a custom effect, by what they change.
+    /// Formulas of a custom effect, by target statistic.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub formulas: BTreeMap<String, String>,
     /// Smallest and largest value of a custom effect's parameters.
@@ -67,29 +67,29 @@ pub struct EffectValues {
 }
 
 impl EffectValues {
-    /// Entry of an effect of the catalogue without values; of one of the user's own with its formulas and the
-    /// values at which a search begins, so that the model is read without it.
+    /// Creates the entry of an effect: without values for an effect of the catalogue; with formulas and start
+    /// values for a user's effect, so that the model can be read without it.
     pub fn new(id: &str) -> Self {
         let written = effects::find(id).and_then(|effect| effect.written());
         written.unwrap_or_else(|| Self { id: id.into(), ..Default::default() })
     }
 
-    /// Name by which people call it: that of a custom effect, else the identifier.
+    /// Returns the display name: that of a custom effect, else the identifier.
     pub fn called(&self) -> &str {
         self.name.as_deref().unwrap_or(&self.id)
     }
 
-    /// True of two entries of one effect: formulas may have the name of an effect of the catalogue, and are
-    /// another.
+    /// Returns true if both entries are of one effect. Formulas may have the name of an effect of the
+    /// catalogue, and are then another effect.
     pub fn is_same(&self, other: &Self) -> bool {
         self.id == other.id && self.called() == other.called()
     }
 
-    /// The effect of this identifier, or the one that the formulas make.
+    /// Returns the effect of this identifier, or the one that the formulas make.
     ///
     /// # Errors
     ///
-    /// Where no effect has this identifier, or a formula cannot be understood.
+    /// No effect has this identifier, or a formula cannot be understood.
     pub fn effect(&self) -> Result<&'static dyn Effect, ModelError> {
         if self.id == CUSTOM {
             return effects::custom(self.described()).map_err(ModelError::Effect);
@@ -102,7 +102,7 @@ impl EffectValues {
         })
     }
 
-    /// Description of an effect of formulas.
+    /// Returns the description of an effect of formulas.
     fn described(&self) -> effects::Described<'_> {
         effects::Described {
             name: self.name.as_deref().unwrap_or(CUSTOM),
@@ -114,7 +114,7 @@ impl EffectValues {
         }
     }
 
-    /// Checks its name and its values.
+    /// Checks name and values.
     ///
     /// # Errors
     ///
@@ -146,17 +146,17 @@ impl EffectValues {
         Ok(())
     }
 
-    /// Values in the order of the effect's parameters, as far as they are given.
+    /// Returns the values in the order of the effect's parameters; `None` for those not given.
     pub fn given(&self, effect: &dyn Effect) -> Vec<Option<f64>> {
         effect.parameters().iter().map(|p| self.parameters.get(p.name).copied()).collect()
     }
 
-    /// Values to draw with, in the order of the effect's parameters. An error names one that is not given; a choice that is not is the
-    /// first.
+    /// Returns the values to draw with, in the order of the effect's parameters. A choice without a value
+    /// takes its first.
     ///
     /// # Errors
     ///
-    /// Which parameter is missing or out of its bounds.
+    /// A parameter has no value; the message names it.
     pub fn values(&self, effect: &dyn Effect) -> Result<Vec<f64>, ModelError> {
         let mut choices: Vec<f64> = Vec::new();
         for p in effect.parameters() {
@@ -164,7 +164,7 @@ impl EffectValues {
             choices.push(self.parameters.get(p.name).copied().or(usual).unwrap_or(0.0));
         }
         let of = |(k, p): (usize, &effects::Parameter)| {
-            // What these choices do not use needs no value.
+            // A parameter that these choices do not use needs no value.
             let idle = !effect.uses(&choices, k);
             let usual = p.starts.first().copied().filter(|_| p.is_choice() || idle);
             let usual = usual.or(idle.then_some(p.min.max(0.0))).or_else(|| effect.usual(k));
@@ -211,23 +211,23 @@ pub struct Body {
 pub struct Base {
     /// A, DN per electron, at 0 dB. The quantisation step q is 1 DN.
     pub gain_dn_per_e: f64,
-    /// Standard deviation of N_R, electrons; of pixels that differ in it the root mean square.
+    /// Standard deviation of N_R, electrons; the root mean square over pixels that differ.
     pub read_noise_e: f64,
-    /// Standard deviation of the logarithm of the pixels' read noise (log-normal), as the row of a data sheet
-    /// with median and rms has it; 0: pixels are alike.
+    /// Standard deviation of the logarithm of the pixels' read noise (log-normal), as given by median and rms
+    /// in a data sheet; 0: all pixels are alike.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub read_noise_log_spread: f64,
-    /// Share of pixels that are noisier still.
+    /// Share of additional noisy pixels.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub noisy_pixel_fraction: f64,
     /// Read noise of the noisy pixels over that of the others.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub noisy_pixel_factor: f64,
-    /// Added before conversion, DN. The paper has none.
+    /// Black level, added before conversion, DN. The paper has none.
     pub black_level_dn: f64,
     /// Spatial standard deviation of the black level, DN.
     pub offset_spread_dn: f64,
-    /// Photons to electrons.
+    /// Quantum efficiency, electrons per photon.
     pub quantum_efficiency: f64,
     /// sigma_K, the spatial standard deviation of K, whose mean is 1.
     pub sigma_k: f64,
@@ -273,14 +273,14 @@ pub struct Bench {
     pub shading: f64,
     /// Relative change of the light from one side to the other; its direction turns with the configuration.
     pub gradient: f64,
-    /// Radius of the lens' image circle over half the diagonal of the sensor; 0: the circle covers the sensor.
-    /// The rim is a twentieth of the radius wide.
+    /// Radius of the lens' image circle over half the diagonal of the sensor; 0: the circle covers the
+    /// sensor. The rim is a twentieth of the radius wide.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub image_circle: f64,
-    /// Relative change of the light in an hour.
+    /// Relative change of the light per hour.
     #[serde(default)]
     pub lamp_drift_per_h: f64,
-    /// How the card's reflectance varies.
+    /// Variation of the card's reflectance.
     #[serde(default)]
     pub card: Texture,
     /// The lens.
@@ -294,7 +294,7 @@ pub struct Bench {
     pub chart: Vec<Square>,
 }
 
-/// Why a model cannot be used.
+/// Reason why a model cannot be used.
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[non_exhaustive]
 pub enum ModelError {
@@ -304,7 +304,7 @@ pub enum ModelError {
     /// Another format or a later major version.
     #[error("format is \"{0}\", and this program reads \"{FORMAT}\"")]
     Format(String),
-    /// An effect or a parameter that is not there.
+    /// Unknown effect or parameter.
     #[error("{0}")]
     Effect(String),
     /// A value outside its physical bounds.
@@ -312,18 +312,18 @@ pub enum ModelError {
     OutOfRange {
         /// Table and key, or effect and parameter.
         field: String,
-        /// What the file says.
+        /// Value in the file.
         value: f64,
         /// Smallest value allowed.
         min: f64,
         /// Largest value allowed.
         max: f64,
-        /// Unit of the three.
+        /// Unit of the three values.
         unit: String,
     },
 }
 
-/// Unit after a number, with its space; nothing for a ratio.
+/// Formats a unit after a number, with a leading space; empty for a ratio.
 fn after_number(unit: &str) -> String {
     if ["", "1"].contains(&unit) { String::new() } else { format!(" {unit}") }
 }
@@ -336,8 +336,8 @@ fn within(field: &str, value: f64, (min, max): (f64, f64), unit: &str) -> Result
 }
 
 impl Model {
-    /// Removes an effect by its identifier, or an effect of formulas by its name; `custom` is the only one of
-    /// formulas. `false`: there is none, or more than one is meant.
+    /// Removes an effect by its identifier, or an effect of formulas by its name; `custom` removes the only
+    /// one of formulas. Returns false if there is none, or more than one is meant.
     pub fn remove(&mut self, effect: &str) -> bool {
         let is_meant =
             |by_id: bool| move |e: &EffectValues| if by_id { e.id == effect } else { e.called() == effect };
@@ -361,7 +361,7 @@ impl Model {
     ///
     /// # Errors
     ///
-    /// Where the text is no model: line, key and what is wrong.
+    /// The text is no model; the message says line, key and what is wrong.
     pub fn from_toml(text: &str) -> Result<Self, ModelError> {
         let model: Self = toml::from_str(text).map_err(|e| {
             let found = toml::from_str::<toml::Table>(text).ok();
@@ -374,11 +374,11 @@ impl Model {
         Ok(model)
     }
 
-    /// The model as TOML.
+    /// Writes the model as TOML.
     ///
     /// # Errors
     ///
-    /// Which value is out of its bounds: what is written can be read.
+    /// A value is out of its bounds; the message names it. Only models that can be read back are written.
     pub fn to_toml(&self) -> Result<String, ModelError> {
         self.check()?;
         toml::to_string(self).map_err(|e| ModelError::Syntax(e.to_string()))
@@ -388,7 +388,7 @@ impl Model {
     ///
     /// # Errors
     ///
-    /// Which value is out of its bounds.
+    /// A value is out of its bounds; the message names it.
     pub fn check(&self) -> Result<(), ModelError> {
         if self.format != FORMAT {
             return Err(ModelError::Format(echo(&self.format)));
@@ -458,17 +458,17 @@ impl Model {
         within("camera.width x height", pixels, (1.0, MAX_PIXELS), "px")
     }
 
-    /// Largest code, 2^b - 1, DN (eq. 5).
+    /// Returns the largest code, 2^b - 1, DN (eq. 5).
     pub fn full_scale_dn(&self) -> u16 {
         ((1u32 << self.camera.bit_depth) - 1) as u16
     }
 
-    /// A in DN per electron at a gain in dB above nominal.
+    /// Returns A in DN per electron at a gain in dB above nominal.
     pub fn gain_dn_per_e(&self, gain_db: f64) -> f64 {
         self.base.gain_dn_per_e * libm::pow(10.0, gain_db / 20.0)
     }
 
-    /// The constant noise of the model, A^2 sigma_R^2 + q^2/12 with q = 1 DN (eq. 27), DN^2.
+    /// Returns the constant noise of the model, A^2 sigma_R^2 + q^2/12 with q = 1 DN (eq. 27), DN^2.
     pub fn constant_noise_var_dn2(&self, gain_db: f64) -> f64 {
         (self.gain_dn_per_e(gain_db) * self.base.read_noise_e).powi(2) + 1.0 / 12.0
     }
@@ -499,7 +499,8 @@ mod tests {
         let noise = (0.003384 * dark_dn + 1.1196) / 20.0;
         let spread = (dark_dn * model.base.dark_current_spread).hypot(noise.sqrt());
         assert!((spread - 0.555).abs() < 5e-5, "{spread}");
-        // Less than the paper's 3.72e-3: `radcam reproduce` shows that as much is estimated.
+        // Smaller than the paper's 3.72e-3: `radcam reproduce` shows that the estimate is as large as the
+        // paper's.
         assert!(model.base.sigma_k < 3.72e-3);
         assert_eq!(model.full_scale_dn(), 255);
     }

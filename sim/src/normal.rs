@@ -1,22 +1,25 @@
-//! Density and upper tail of the normal distribution, from a table: a fit asks for them some ten million times. Where small tails or their
-//! differences count (drawing Poisson numbers, moments of clipped noise) `libm::erfc` serves.
+//! Density and upper tail of the normal distribution, from a table: a fit asks for them some ten million
+//! times. `libm::erfc` serves where small tails or their differences count (drawing Poisson numbers, moments
+//! of clipped noise).
 
 use std::sync::OnceLock;
 
-/// Shares of the pixels, from the lowest to the highest, whose levels [`crate::predict::SetInfo::places`] gives: few where the tails are.
+/// Shares of the pixels in nine groups, from the lowest to the highest level.
+/// [`crate::predict::SetInfo::places`] gives the levels of the groups. The groups in the tails are small.
 pub const PLACES: [f64; 9] = [0.01, 0.04, 0.1, 0.2, 0.3, 0.2, 0.1, 0.04, 0.01];
 
-/// Each of them stands for levels around it: half the distance between places in the middle, in deviations of all.
+/// Deviation of the levels within a group, in standard deviations of all: half the distance between groups in
+/// the middle.
 pub const AROUND: f64 = 0.35;
 
 /// [`crate::predict::SetInfo::places`] of normal levels.
 pub const NORMAL: [f64; PLACES.len()] =
     [-2.718_725, -1.950_477, -1.326_337, -0.699_978, 0.0, 0.699_978, 1.326_337, 1.950_477, 2.718_725];
 
-/// Beyond so many deviations the tail is 0 or 1: 1e-17 is lost.
+/// End of the table, in standard deviations: beyond it the tail is 0 or 1, with an error of 1e-17.
 const END: f64 = 8.5;
-/// Places of the table per deviation. Taylor's cubic about the nearest is off by (h / 2)^4 / 24 times the fourth derivative, which is at most
-/// 1.2: by 1.2e-11.
+/// Table points per standard deviation. The cubic Taylor polynomial about the nearest point is off by
+/// 1.2e-11: (h / 2)^4 / 24 times the fourth derivative, which is at most 1.2.
 const EACH: usize = 128;
 
 fn table() -> &'static [(f64, f64)] {
@@ -31,7 +34,7 @@ fn table() -> &'static [(f64, f64)] {
     })
 }
 
-/// Density, and the chance of a larger number, of a standard normal number; both to 2e-11.
+/// Returns the density and the upper tail probability of a standard normal number; both to 2e-11.
 pub fn tail(x: f64) -> (f64, f64) {
     if x.abs() >= END {
         return (0.0, if x > 0.0 { 0.0 } else { 1.0 });
@@ -40,12 +43,12 @@ pub fn tail(x: f64) -> (f64, f64) {
     let Some(&(density, above)) = table().get(i) else { return (f64::NAN, f64::NAN) };
     let at = i as f64 / EACH as f64 - END;
     let (d, square) = (x - at, at * at);
-    // Derivatives of the density are Hermite's polynomials of it.
+    // Derivatives of the density are Hermite polynomials times the density.
     let (second, third) = (d * d * (square - 1.0) / 2.0, d * d * d * at * (3.0 - square) / 6.0);
     (density * (1.0 - at * d + second + third), above - density * d * (1.0 - 0.5 * at * d + second / 3.0))
 }
 
-/// The chance of a larger number.
+/// Returns the upper tail probability.
 pub fn upper(x: f64) -> f64 {
     tail(x).1
 }

@@ -13,13 +13,13 @@ pub struct Optics {
     pub nd_density: f64,
 }
 
-/// A band of wavelengths. With none the camera is monochrome: every spectrum is flat.
+/// Wavelength band. Without bands the camera is monochrome: every spectrum is flat.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Band {
     /// Middle of the band, nm.
     pub wavelength_nm: f64,
-    /// L: photons of the lamp in this band, any unit; they are counted as shares of the flux.
+    /// L: photons of the lamp in this band, any unit; only shares of the flux count.
     pub lamp: f64,
     /// t: transmission of lens and filters.
     pub transmission: f64,
@@ -27,24 +27,24 @@ pub struct Band {
     pub quantum_efficiency: f64,
     /// R of the card.
     pub reflectance: f64,
-    /// Point spread in this band, pixels; that of the lens where not given.
+    /// Point spread in this band, pixels; default: that of the lens.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psf_sigma_px: Option<f64>,
 }
 
-/// What one band contributes: electrons per photon of the flux, and its point spread on the fine grid.
+/// Contribution of one band: electrons per photon of the flux, and its point spread on the fine grid.
 pub(crate) struct Share {
     /// L t q over the sum of L.
     pub electrons: f64,
     /// R of the card.
     pub card: f64,
-    /// Which of a surface's reflectances it sees.
+    /// Index of the band in a surface's list of reflectances.
     pub band: usize,
     /// Point spread.
     pub kernel: Vec<f64>,
 }
 
-/// The bands as shares of the flux; one flat band where there are none.
+/// Converts the bands to shares of the flux; one flat band if there are none.
 pub(crate) fn shares(optics: &Optics, bands: &[Band], quantum_efficiency: f64, fine: f64) -> Vec<Share> {
     let filter = libm::pow(10.0, -optics.nd_density);
     if bands.is_empty() {

@@ -1,11 +1,11 @@
-//! Exact Poisson numbers at every mean.
+//! Exact Poisson numbers for every mean.
 //!
-//! For a mean of 10 or more: the modified normal method PD (Ahrens and Dieter, "Computer generation of
-//! Poisson deviates from modified normal distributions", ACM TOMS 8(2), 1982). A discretised normal number
-//! is the answer at once whenever its probability does not exceed Poisson's, which it does only below the
-//! mean; there it is kept with probability p_k / f_k, and what is refused is drawn again from the difference
-//! p_k - f_k. Nothing is approximated: where the method of the paper fits a polynomial to f_k, the difference
-//! of two normal integrals stands here. At a mean of 5000 one draw in 500 takes the slow way.
+//! Mean of 10 or more: the modified normal method PD (Ahrens and Dieter, "Computer generation of Poisson
+//! deviates from modified normal distributions", ACM TOMS 8(2), 1982). A discretised normal number is
+//! accepted at once if its probability does not exceed Poisson's. It exceeds it only below the mean; there
+//! the number is accepted with probability p_k / f_k, and a rejected one is drawn again from the difference
+//! p_k - f_k. Nothing is approximated: the paper fits a polynomial to f_k, here it is the difference of two
+//! normal integrals. At a mean of 5000 one draw in 500 takes the slow path.
 //!
 //! Below 10: inversion of the distribution function.
 
@@ -13,11 +13,11 @@
 
 use crate::rng::{LANES, NoiseLanes, PixelRng, Stream, exp_minus, floor};
 
-/// The mean from which the modified normal method holds.
+/// Minimum mean of the modified normal method.
 const NORMAL_FROM: f64 = 10.0;
 const TWO_32: f64 = 4_294_967_296.0;
 
-/// 1 / k. Beyond 128 a mean below 10 has no probability in double precision.
+/// Reciprocals 1 / k. Beyond 128 a mean below 10 has no probability in double precision.
 const RECIPROCALS: [f64; 128] = {
     let mut table = [0.0; 128];
     let mut k = 1;
@@ -28,7 +28,7 @@ const RECIPROCALS: [f64; 128] = {
     table
 };
 
-/// Where a pixel's further random numbers come from.
+/// Source of a pixel's further random numbers.
 #[derive(Debug, Clone, Copy)]
 pub struct Site {
     /// Seed of the camera.
@@ -45,12 +45,12 @@ impl Site {
     }
 }
 
-/// Poisson numbers of `mean` electrons for [`LANES`] consecutive pixels.
+/// Draws Poisson numbers of `mean` electrons for [`LANES`] consecutive pixels.
 ///
-/// A mean that is not above zero (or not a number) gives zero.
+/// A mean that is not above zero, or is NaN, gives zero.
 #[inline(always)]
 pub fn poisson_lanes(mean: &[f64; LANES], noise: &NoiseLanes, site: Site) -> [f64; LANES] {
-    // Which way a pixel is drawn does not change its number, so that a look at the first one is enough to guess.
+    // Both paths give a pixel the same number, so that testing the first pixel is enough to guess the path.
     if mean[0] < NORMAL_FROM && mean.iter().all(|&m| m < NORMAL_FROM) {
         return invert_lanes(mean, &noise.bits, site);
     }
@@ -74,10 +74,11 @@ pub fn poisson_lanes(mean: &[f64; LANES], noise: &NoiseLanes, site: Site) -> [f6
     k
 }
 
-/// A Poisson number of `mean` for one pixel, from the proposal `k` of its normal number and its 32 bits.
+/// Draws a Poisson number of `mean` for one pixel, from the proposal `k` of its normal number and its 32
+/// bits.
 #[inline(never)]
 fn slow_draw(mean: f64, k: f64, bits: f64, site: Site) -> f64 {
-    // Far beyond any well: the codes are clipped whatever stands here, and double precision has no such integers.
+    // Far beyond any well the codes are clipped in any case, and double precision has no such integers.
     if mean > 1e14 {
         return mean;
     }
@@ -90,12 +91,12 @@ fn slow_draw(mean: f64, k: f64, bits: f64, site: Site) -> f64 {
     }
 }
 
-/// Further random numbers of a pixel.
+/// Returns the stream of further random numbers of a pixel.
 fn more(site: Site) -> PixelRng {
     PixelRng::new(site.seed, Stream::Frame, site.frame, site.first_pixel, 1)
 }
 
-/// Steps I and S of the method: k is at least floor(mu - 1.1484), or passes the cubic squeeze.
+/// Tests steps I and S of the method: k is at least floor(mu - 1.1484), or passes the cubic squeeze.
 ///
 /// A k below zero never passes: then mu - k > mu >= 10, and the squeeze asks for a u above mu / 6.
 #[inline(always)]
@@ -105,8 +106,8 @@ fn accepted(mu: f64, k: f64, bits: f64) -> bool {
     (mu >= NORMAL_FROM) & ((below < 2.1484) | squeezed)
 }
 
-/// [`invert`] for every lane at once. Where the 32 bits of u do not decide, about once in 2^32 / k draws, the further
-/// ones are drawn.
+/// Runs [`invert`] for every lane at once. Further bits of u are drawn if its 32 bits do not decide, about
+/// once in 2^32 / k draws.
 #[inline(always)]
 fn invert_lanes(mean: &[f64; LANES], bits: &[f64; LANES], site: Site) -> [f64; LANES] {
     let (mut mu, mut u) = ([0.0; LANES], [0.0; LANES]);
@@ -140,7 +141,7 @@ fn invert_lanes(mean: &[f64; LANES], bits: &[f64; LANES], site: Site) -> [f64; L
     k
 }
 
-/// Inversion: the smallest k with P(K <= k) > u.
+/// Inverts the distribution function: returns the smallest k with P(K <= k) > u.
 ///
 /// `bits` are the first 32 binary digits of u; further ones are drawn.
 fn invert(mean: f64, bits: f64, more: &mut PixelRng) -> f64 {
@@ -155,19 +156,20 @@ fn invert(mean: f64, bits: f64, more: &mut PixelRng) -> f64 {
     k as f64
 }
 
-/// Upper tail of the normal distribution.
+/// Returns the upper tail probability of the normal distribution.
 fn upper_tail(x: f64) -> f64 {
     0.5 * libm::erfc(x * std::f64::consts::FRAC_1_SQRT_2)
 }
 
-/// Probability of k under the discretised normal: that mu + s T falls in [k, k + 1).
+/// Returns the probability of k under the discretised normal: that mu + s T falls in [k, k + 1).
 fn discrete_normal(mean: f64, root: f64, k: f64) -> f64 {
     let (a, b) = ((k - mean) / root, (k + 1.0 - mean) / root);
-    // Differences of the tail on whose side the interval lies keep their digits.
+    // The tail on the side of the interval is used: its differences keep their digits.
     if a > 0.0 { upper_tail(a) - upper_tail(b) } else { upper_tail(-b) - upper_tail(-a) }
 }
 
-/// Poisson probability of k, by Loader's saddle-point form (2000): no difference of large logarithms.
+/// Returns the Poisson probability of k by Loader's saddle-point form (2000), without differences of large
+/// logarithms.
 fn probability(mean: f64, k: f64) -> f64 {
     if k < 0.0 {
         return 0.0;
@@ -196,18 +198,18 @@ fn probability(mean: f64, k: f64) -> f64 {
     libm::exp(-stirling - mean * h) / (std::f64::consts::TAU * k).sqrt()
 }
 
-/// Steps Q to H of method PD, after the immediate acceptances have failed.
+/// Runs steps Q to H of method PD, after the immediate acceptances have failed.
 fn modified_normal(mean: f64, k: f64, bits: f64, more: &mut PixelRng) -> f64 {
     let root = mean.sqrt();
     if k >= 0.0 {
-        // Kept where u >= 1 - p_k / f_k; the further digits of u come from the next draw.
+        // Accepted if u >= 1 - p_k / f_k; the further digits of u come from the next draw.
         let u = (bits + more.uniform()) / TWO_32;
         let f = discrete_normal(mean, root, k);
         if f * (1.0 - u) <= probability(mean, k) {
             return k;
         }
     }
-    // From the difference p_k - f_k, under the double exponential hat of the paper's step E.
+    // Draws from the difference p_k - f_k, under the double exponential hat of the paper's step E.
     let hat = 0.1069 / mean;
     loop {
         let e = more.exponential();
@@ -246,7 +248,8 @@ mod tests {
         counts
     }
 
-    /// Chi-square of drawn against exact probabilities, bins joined until each expects at least 50.
+    /// Chi-square p-value of drawn counts against exact probabilities; bins are merged until each expects at
+    /// least 50.
     fn chi_square_p(mean: f64, counts: &[u64]) -> f64 {
         let total: u64 = counts.iter().sum();
         let exact = Poisson::new(mean).unwrap();
@@ -268,8 +271,8 @@ mod tests {
         1.0 - ChiSquared::new(f64::from(bins)).unwrap().cdf(chi2)
     }
 
-    /// Ten means from 0.01 to 1e5, two million draws each. The smallest of ten honest p-values lies
-    /// below 1e-4 once in a thousand sets of seeds; the seed here is fixed.
+    /// Ten means from 0.01 to 1e5, four million draws each. The smallest of ten valid p-values lies below
+    /// 1e-4 once in a thousand sets of seeds; the seed here is fixed.
     #[test]
     fn counts_follow_the_poisson_distribution() {
         for (i, mean) in [0.01, 0.3, 1.0, 4.0, 9.99, 10.0, 31.6, 300.0, 5000.0, 1e5].into_iter().enumerate() {
@@ -299,7 +302,7 @@ mod tests {
                     );
                 }
                 if p > f {
-                    // The hat's smallest value over the t that give this k.
+                    // Smallest value of the hat over the t that give this k.
                     let far = ((k - mean) / root - 1.8).abs().max(((k + 1.0 - mean) / root - 1.8).abs());
                     assert!(
                         p - f <= 0.1069 / mean * (-far).exp() * (1.0 + 1e-9),
@@ -324,7 +327,7 @@ mod tests {
         }
     }
 
-    /// A dim pixel's number does not depend on whether its neighbours are bright.
+    /// The number of a dim pixel does not depend on the brightness of its neighbours.
     #[test]
     fn a_pixel_does_not_see_its_neighbours() {
         for block in 0..2000 {

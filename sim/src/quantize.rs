@@ -1,4 +1,4 @@
-//! What rounding to whole steps does to noise that covers about a step or less.
+//! Effect of rounding to whole steps on noise that covers about a step or less.
 
 use crate::clipping::cut;
 use crate::normal::PLACES as SHARES;
@@ -8,11 +8,11 @@ use std::sync::OnceLock;
 /// Statistics of rounded noise over many pixels, in steps.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Rounded {
-    /// Mean beyond the mean before rounding.
+    /// Mean after rounding less the mean before.
     pub mean: f64,
-    /// Change of the mean with the level: what noise that pixels share comes through with.
+    /// Change of the mean with the level: the factor on noise that pixels share.
     pub slope: f64,
-    /// Mean of the pixels' variances beyond that before rounding: 1/12 for wide noise.
+    /// Mean of the pixels' variances less that before rounding: 1/12 for wide noise.
     pub variance: f64,
     /// Variance of the pixels' variances.
     pub unequal: f64,
@@ -20,18 +20,19 @@ pub struct Rounded {
     pub fourth: f64,
 }
 
-/// From this deviation on, in steps, rounding adds 1/12 whatever the level: what is missing is exp(-2 pi^2 0.7^2) = 6e-5.
+/// Noise deviation, in steps, from which rounding adds 1/12 at every level: the error is exp(-2 pi^2 0.7^2) =
+/// 6e-5.
 const WIDE: f64 = 0.7;
-/// From this deviation of the pixels' levels on they lie anywhere between two codes alike.
+/// Deviation of the pixels' levels, in steps, from which they are uniform between two codes.
 const EVEN: f64 = 0.6;
-/// Deviations and places of the level between two codes that the table holds.
+/// Number of deviations, and of level positions between two codes, in the table.
 const DEVIATIONS: usize = 70;
 const PLACES: usize = 64;
 
-/// Mean error, its slope, variance and fourth cumulant of a pixel.
+/// Mean error, slope of the mean, variance and fourth cumulant of a pixel.
 type Pixel = [f64; 4];
 
-/// For a level (0 is a code) and a deviation: sums over the codes.
+/// Computes the statistics for a level (0 is a code) and a deviation by sums over the codes.
 fn exact(level: f64, sd: f64) -> Pixel {
     let below = |edge: f64| 0.5 * libm::erfc(-edge / (sd.max(1e-9) * std::f64::consts::SQRT_2));
     let codes = (-6..=6).map(|c| {
@@ -42,7 +43,7 @@ fn exact(level: f64, sd: f64) -> Pixel {
     let moment = |about: f64, k: i32| codes.iter().map(|(c, p)| p * (c - about).powi(k)).sum::<f64>();
     let mean = moment(0.0, 1);
     let (second, fourth) = (moment(mean, 2), moment(mean, 4));
-    // Each edge that the level passes moves what is above it by one code.
+    // Samples that pass an edge move by one code: the slope is the sum of the densities at the edges.
     let sd = sd.max(0.02);
     let density = |edge: f64| libm::exp(-0.5 * (edge / sd).powi(2)) / (sd * std::f64::consts::TAU.sqrt());
     let slope: f64 = (-6..6).map(|c| density(f64::from(c) + 0.5 - level)).sum();
@@ -60,7 +61,7 @@ fn table() -> &'static [Pixel] {
     })
 }
 
-/// Places of a normal number as far as three deviations, with its density there.
+/// Returns points of a standard normal number up to three deviations, with the density at each.
 fn levels() -> &'static [(f64, f64)] {
     const HALF: i32 = 24;
     static TABLE: OnceLock<Vec<(f64, f64)>> = OnceLock::new();
@@ -70,7 +71,8 @@ fn levels() -> &'static [(f64, f64)] {
     })
 }
 
-/// Normal noise of this variance, in pixels whose levels have a mean and a deviation; all in steps, 0 is a code.
+/// Computes the statistics of rounded normal noise of this variance, in pixels whose levels have this mean
+/// and deviation; all in steps, 0 is a code.
 pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
     let place = variance.max(0.0).sqrt() / WIDE * DEVIATIONS as f64;
     if !place.is_finite() || place >= DEVIATIONS as f64 {
@@ -79,7 +81,7 @@ pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
     let (row, down) = (place as usize * (PLACES + 1), place.fract());
     let table = table();
     let (above, below) = (&table[row..][..=PLACES], &table[row + PLACES + 1..][..=PLACES]);
-    // Rounding up by a cast: without vector instructions of their own processors call a function for it.
+    // Rounds up by a cast: processors without a vector instruction for it would call a function.
     let up = |x: f64| {
         let whole = x as i64 as f64;
         if x > whole { whole + 1.0 } else { whole }
@@ -95,7 +97,7 @@ pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
         };
         [0, 1, 2, 3].map(between)
     };
-    // Levels of the pixels: normal, as far as three deviations.
+    // Levels of the pixels: normal, up to three deviations.
     let spread = spread.min(EVEN);
     let mut sums = [0.0; 6];
     for &(t, w) in levels() {
@@ -115,7 +117,8 @@ pub fn rounded(level: f64, spread: f64, variance: f64) -> Rounded {
     }
 }
 
-/// The same where half of the pixels lie a step of `apart` above the others; `spread` is the deviation of all of them.
+/// Computes the statistics if half of the pixels lie `apart` steps above the others; `spread` is the
+/// deviation of all of them.
 pub fn rounded_apart(level: f64, spread: f64, apart: f64, variance: f64) -> Rounded {
     if apart.abs() < NEXT_TO_NONE {
         return rounded(level, spread, variance);
@@ -132,14 +135,14 @@ pub fn rounded_apart(level: f64, spread: f64, apart: f64, variance: f64) -> Roun
     }
 }
 
-/// Standard deviations of the logarithm at which variances that differ from pixel to pixel are looked at, and the
-/// shares of the pixels there (Gauss and Hermite's rule of three points; Abramowitz and Stegun 1972, table
+/// Points and weights at which log-normal variances of the pixels are evaluated; points in standard
+/// deviations of the logarithm (Gauss and Hermite's rule of three points; Abramowitz and Stegun 1972, table
 /// 25.10).
 const LOGNORMAL: [(f64, f64); 3] =
     [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
 
-/// Rounded noise of pixels whose variances are log-normal about their mean. `unlike`: variance of the variances
-/// over the square of their mean.
+/// Computes the statistics of rounded noise of pixels whose variances are log-normal about their mean.
+/// `unlike` is the variance of the variances over the square of their mean.
 pub fn rounded_unlike(level: f64, spread: f64, apart: f64, variance: f64, unlike: f64) -> Rounded {
     if unlike <= 0.0 || variance > WIDE * WIDE {
         return rounded_apart(level, spread, apart, variance);
@@ -161,26 +164,30 @@ pub fn rounded_unlike(level: f64, spread: f64, apart: f64, variance: f64, unlike
     }
 }
 
-/// Steps between parts below this, in codes, leave levels as they are to within a thousandth of a code squared.
+/// Step between parts, in codes, below which it is ignored: it changes levels by less than a thousandth of a
+/// code squared.
 const NEXT_TO_NONE: f64 = 0.03;
 
-/// From this deviation on, in steps, codes are so many that clipping at code 0 is that of a continuous level.
+/// Noise deviation, in steps, from which clipping at code 0 is treated as that of a continuous level: many
+/// codes occur.
 const MANY: f64 = 8.0;
-/// Levels this many deviations above code 0 are not clipped.
+/// Height above code 0, in noise deviations, from which levels are not clipped.
 const CLEAR: f64 = 6.5;
 
-/// Whether normal noise of this variance about these levels reaches code 0.
+/// Returns true if normal noise of this variance about these levels reaches code 0.
 pub fn reaches_zero(level: f64, spread: f64, places: &[f64], variance: f64) -> bool {
     let lowest = places.iter().copied().fold(0.0, f64::min);
     level + spread * lowest < CLEAR * variance.max(0.0).sqrt() + 0.5
 }
 
-/// From this deviation on rounding adds 1/12 so exactly, but for exp(-2 pi^2) = 3e-9, that moments of few codes may be left over from it.
+/// Noise deviation, in steps, from which rounding adds 1/12 to within exp(-2 pi^2) = 3e-9: precise enough for
+/// the moments of the few codes that remain as a difference.
 const SMOOTH: f64 = 1.0;
-/// Levels this many deviations below the first edge show code 0 alone: the rest is 6e-16.
+/// Depth below the first edge, in noise deviations, from which levels show code 0 alone: the rest is 6e-16.
 const ALL_BELOW: f64 = 8.0;
 
-/// max(code, 0) of a rounded level with normal noise: mean, slope of the mean, variance and fourth cumulant; sums over the codes.
+/// Computes mean, slope of the mean, variance and fourth cumulant of max(code, 0) for a rounded level with
+/// normal noise, by sums over the codes.
 fn from_zero(level: f64, sd: f64) -> Pixel {
     if sd >= SMOOTH {
         return from_zero_of_wide(level, sd);
@@ -189,7 +196,7 @@ fn from_zero(level: f64, sd: f64) -> Pixel {
     let first = (level - 6.0 * sd).floor().max(0.0);
     let codes = ((level + 6.0 * sd).ceil() - first).max(0.0) as usize;
     let (mut passed, mut slope) = (0.0, 0.0);
-    // Six deviations of less than a step to both sides.
+    // Range: six deviations, each of less than a step, to both sides.
     let mut shares = [0.0; 16];
     for (k, share) in shares.iter_mut().enumerate().take(codes + 1) {
         let (density, below) = tail((level - first - k as f64 - 0.5) / sd);
@@ -206,9 +213,11 @@ fn from_zero(level: f64, sd: f64) -> Pixel {
     [mean, slope, second, fourth - 3.0 * second * second]
 }
 
-/// The same where rounding adds 1/12 and nothing else: raw moments of all codes less those of the codes below 0, which come out as 0.
+/// Computes them where rounding adds 1/12 and nothing else: raw moments of all codes less those of the codes
+/// below 0, which become 0.
 fn from_zero_of_wide(level: f64, sd: f64) -> Pixel {
-    // So far below 0 that every pixel shows code 0: the sum below would pass through each code down to the level.
+    // So far below 0 that every pixel shows code 0: the sum below would pass through each code down to the
+    // level.
     if level + ALL_BELOW * sd < 0.5 {
         return [0.0; 4];
     }
@@ -234,11 +243,12 @@ fn from_zero_of_wide(level: f64, sd: f64) -> Pixel {
     let square = mean * mean;
     let variance = second - square;
     let fourth = fourth - 4.0 * mean * third + 6.0 * square * second - 3.0 * square * square;
-    // The slope of the mean: densities at the edges above 0, of which all add up to 1.
+    // Slope of the mean: the densities at the edges above 0; those at all edges sum to 1.
     [mean, slope, variance, fourth - 3.0 * variance * variance]
 }
 
-/// Normal noise of this variance in pixels at these places, whose codes below 0 come out as 0; all in steps.
+/// Computes the statistics of rounded normal noise of this variance in pixels at these places; codes below 0
+/// become 0; all in steps.
 pub fn rounded_from_zero(level: f64, spread: f64, places: &[f64; SHARES.len()], variance: f64) -> Rounded {
     let variance = variance.max(0.0);
     let sd = variance.sqrt();
@@ -246,7 +256,7 @@ pub fn rounded_from_zero(level: f64, spread: f64, places: &[f64; SHARES.len()], 
         if sd < MANY {
             return from_zero(level, sd);
         }
-        // Upside down: what is cut off lies below.
+        // Mirrored: `cut` cuts off values above the limit.
         let left = cut(-level, variance, 0.0);
         let kept = 1.0 - left.above;
         [-left.mean, kept, left.variance + kept / 12.0, left.fourth]
@@ -264,7 +274,7 @@ pub fn rounded_from_zero(level: f64, spread: f64, places: &[f64; SHARES.len()], 
     }
 }
 
-/// floor(a u + 1/2) of whole numbers u with normal noise: what firmware adds to a code.
+/// Correction floor(a u + 1/2) of whole numbers u with normal noise, which firmware adds to a code.
 #[derive(Debug, Clone, Copy)]
 pub struct Correction {
     slope: f64,
@@ -272,10 +282,11 @@ pub struct Correction {
     pattern: f64,
 }
 
-/// Steps of a correction that are summed, at most; from there on it is as good as not rounded.
+/// Maximum number of steps of a correction that are summed; with more, rounding does not matter.
 const STEPS: usize = 64;
 
-/// Gauss and Hermite's five places of a normal number, in deviations, and their shares (Abramowitz and Stegun 1964, 25.10).
+/// Gauss and Hermite's five points of a normal number, in deviations, and their weights (Abramowitz and
+/// Stegun 1964, 25.10).
 pub const NODES: [(f64, f64); 5] = [
     (0.0, 8.0 / 15.0),
     (1.355_626_179_974_266, 0.222_075_922_005_613),
@@ -285,32 +296,36 @@ pub const NODES: [(f64, f64); 5] = [
 ];
 
 impl Correction {
-    /// With this slope on noise of this deviation, where the means of u differ from pixel to pixel by this one.
+    /// Creates a correction of this slope for noise of this deviation; `pattern` is the deviation of the
+    /// means of u from pixel to pixel.
     pub fn new(slope: f64, sd: f64, pattern: f64) -> Self {
         Self { slope: slope.abs(), sd: sd.max(1e-3), pattern }
     }
 
-    /// u from which on it is k. Whole numbers reach it up to half a step before or after: that matters where the noise passes few
-    /// thresholds, and where it passes many they lie anywhere between whole numbers. Of that sawtooth so much of its first Fourier term that
-    /// thresholds still fall as the slope grows: a fit finds its way.
+    /// Returns the u from which the correction is k. Whole numbers u reach it up to half a step before or
+    /// after. This matters if the noise passes few thresholds; if it passes many, they lie anywhere between
+    /// whole numbers. Only so much of the first Fourier term of this sawtooth is used that thresholds still
+    /// fall as the slope grows: a fit then converges.
     fn threshold(&self, k: usize) -> f64 {
         let at = (k as f64 - 0.5) / self.slope;
         at + 0.45 * self.narrow() / std::f64::consts::PI * libm::sin(std::f64::consts::TAU * at)
     }
 
-    /// 1 where the noise passes hardly any threshold, 0 where it passes many.
+    /// Returns 1 if the noise passes hardly any threshold, 0 if it passes many.
     pub fn narrow(&self) -> f64 {
         (2.0 - 5.0 * self.slope * self.sd.hypot(self.pattern)).clamp(0.0, 1.0)
     }
 
-    /// So many steps matter; `None`: so many that rounding adds 1/12 and nothing else.
+    /// Returns the number of steps that matter; `None`: the slope is 0, or so many that rounding adds 1/12
+    /// and nothing else.
     fn steps(&self) -> Option<usize> {
         let steps = self.slope * 6.0 * self.sd.hypot(self.pattern) + 2.0;
         (self.slope > 0.0 && steps < STEPS as f64).then_some(steps as usize)
     }
 
-    /// The slope with which it follows the noise, and the variance of what it adds beside that: the regression of the rounded number
-    /// on u, E[u r] / var u, and the rest of its variance in time (Bussgang 1952: of normal noise both follow from the thresholds).
+    /// Returns the slope of the correction on the noise, and the variance of the remainder: the regression of
+    /// the rounded number on u, E[u r] / var u, and the rest of its variance in time (Bussgang 1952: for
+    /// normal noise both follow from the thresholds).
     pub fn linear(&self) -> (f64, f64) {
         let Some(all) = self.of_pixels() else {
             return if self.slope == 0.0 { (0.0, 0.0) } else { (self.slope, 1.0 / 12.0) };
@@ -320,14 +335,16 @@ impl Correction {
         (slope, (variance - slope * slope * self.sd * self.sd).max(0.0))
     }
 
-    /// Variance, from pixel to pixel, of what it adds to their variance: its own, and `with` times its slope, since it follows the noise.
+    /// Returns the pixel-to-pixel variance of what the correction adds to the pixels' variances: its own
+    /// variance, and `with` times its slope, since it follows the noise.
     pub fn unequal(&self, with: f64) -> f64 {
         let all = self.of_pixels().unwrap_or_default();
         let mean: f64 = all.iter().map(|(share, s, v)| share * (v + with * s)).sum();
         all.iter().map(|(share, s, v)| share * (v + with * s - mean) * (v + with * s - mean)).sum()
     }
 
-    /// Share, slope and variance of the pixels at each place of the pattern; `None` where rounding does not matter.
+    /// Returns share, slope and variance of the pixels at each node of the pattern; `None` if rounding does
+    /// not matter.
     fn of_pixels(&self) -> Option<Vec<(f64, f64, f64)>> {
         let steps = self.steps()?;
         let thresholds: Vec<f64> = (1..=steps).map(|k| self.threshold(k)).collect();
@@ -347,33 +364,35 @@ impl Correction {
         Some(nodes.iter().map(of).collect())
     }
 
-    /// Variance of u.
+    /// Returns the variance of u.
     pub fn variance(&self) -> f64 {
         self.sd * self.sd
     }
 
-    /// Share of the numbers that it moves.
+    /// Returns the share of the numbers that the correction changes.
     pub fn moves(&self) -> f64 {
         if self.slope > 0.0 { (2.0 * upper(self.threshold(1) / self.sd)).min(1.0) } else { 0.0 }
     }
 
-    /// Fourth cumulants of x + floor(a u + 1/2) where u = y - x, both normal and independent and x with the share var x / var u: of four of
-    /// it, three of it and one y, two of each, one and three. Given u the rest of x is normal and shared with y: what counts is
-    /// g = floor(a u + 1/2) - share u beside w = (1 - share) u. Between two thresholds g is linear: truncated moments of a normal number
+    /// Returns the fourth cumulants of x + floor(a u + 1/2), where u = y - x, x and y are normal and
+    /// independent, and x has the share var x / var u: four of it, three of it and one y, two of each, one
+    /// and three. Given u, the rest of x is normal and shared with y. Only g = floor(a u + 1/2) - share u and
+    /// w = (1 - share) u count. Between two thresholds g is linear: truncated moments of a normal number
     /// (Johnson, Kotz and Balakrishnan 1994, 13.10.1).
     pub fn fourth(&self, share: f64) -> [f64; 4] {
         let Some(steps) = self.steps() else { return [0.0; 4] };
-        // Nothing passes a threshold: what is left is rounding of the sums.
+        // No noise passes a threshold: only the rounding of the sums is left.
         if self.threshold(1) > 6.0 * self.sd {
             return [0.0; 4];
         }
         let (by, with) = (share * self.sd, (1.0 - share) * self.sd);
-        // E g^i w^j.
+        // Moments E g^i w^j.
         let mut of = [[0.0; 5]; 5];
         let mut from = place(0.0);
         for k in 0..=steps {
             let to = place(if k < steps { self.threshold(k + 1) / self.sd } else { f64::INFINITY });
-            // The other side of 0 is the same. g = k - by v for v deviations: the binomial theorem for its powers.
+            // The other side of 0 is alike. g = k - by v for v deviations: the binomial theorem gives its
+            // powers.
             let m = between(from, to);
             for (i, j) in [(2, 0), (1, 1), (4, 0), (3, 1), (2, 2), (1, 3)] {
                 let choose = [
@@ -398,7 +417,7 @@ impl Correction {
         ]
     }
 
-    /// Its mean where u has this mean.
+    /// Returns the mean of the correction if u has this mean.
     pub fn mean(&self, u: f64) -> f64 {
         if self.slope == 0.0 || u.abs() * self.slope > 0.5 * STEPS as f64 || self.steps().is_none() {
             return self.slope * u;
@@ -412,17 +431,17 @@ impl Correction {
     }
 }
 
-/// A place of a standard normal number: the place, the density there and the chance of a larger number.
+/// Point of a standard normal number: the point, the density there and the upper tail probability.
 type Place = (f64, f64, f64);
 
 fn place(x: f64) -> Place {
     let density =
         if x.is_finite() { libm::exp(-0.5 * x * x) / libm::sqrt(std::f64::consts::TAU) } else { 0.0 };
-    // Cumulants are differences of these: the table's 1e-11 would be all that is left of small ones.
+    // Cumulants are differences of these: the table's error of 1e-11 would swamp small ones.
     (x, density, 0.5 * libm::erfc(x * std::f64::consts::FRAC_1_SQRT_2))
 }
 
-/// Moments 0 to 4 of a standard normal number between two places, nothing of it elsewhere.
+/// Returns the partial moments 0 to 4 of a standard normal number between two points.
 fn between(from: Place, to: Place) -> [f64; 5] {
     // x^n times the density, which is 0 far out.
     let at = |(x, density, _): Place, n: i32| if density > 0.0 { x.powi(n) * density } else { 0.0 };
@@ -437,7 +456,7 @@ fn between(from: Place, to: Place) -> [f64; 5] {
 mod tests {
     use super::*;
 
-    /// Against sums over a grid by numpy 2.2: x - floor(a x + 1/2) of normal x.
+    /// Compared with sums over a grid by numpy 2.2: x - floor(a x + 1/2) of normal x.
     #[test]
     fn the_fourth_cumulant_is_that_of_a_grid() {
         for (slope, wide, variance, excess) in [
@@ -447,15 +466,16 @@ mod tests {
             (0.2, 0.5, 0.6578, -0.1253),
         ] {
             let sd: f64 = wide / slope;
-            // Of a grid there are no whole numbers u: thresholds lie where they are.
+            // A grid has no whole numbers u: its thresholds are not moved.
             let all = Correction { slope, sd, pattern: 0.0 };
             let got = all.fourth(1.0)[0] / (variance * sd * sd).powi(2);
             assert!((got - excess).abs() < 0.02, "{slope} {wide}: {got}, not {excess}");
         }
     }
 
-    /// Successive frames of a filter of whole codes, drawn by numpy 2.2 (two million pixels of a level of 182 +- 5.5 DN, twelve frames before):
-    /// alpha, noise, then the cumulants over the square of the variance. These have errors of some 0.003.
+    /// Successive frames of a filter of whole codes, compared with draws by numpy 2.2 (two million pixels of
+    /// a level of 182 +- 5.5 DN, twelve frames before): alpha, noise, then the cumulants over the square of
+    /// the variance. The drawn cumulants have errors of some 0.003.
     #[test]
     fn successive_frames_share_what_was_drawn() {
         for (alpha, noise, drawn) in [
@@ -478,7 +498,7 @@ mod tests {
         }
     }
 
-    /// Against sums over drawn numbers: a million of each, within five standard errors.
+    /// Compared with 10^6 draws each; tolerance five standard errors.
     #[test]
     fn codes_below_zero_come_out_as_zero() {
         use crate::rng::{PixelRng, Stream};
@@ -504,7 +524,8 @@ mod tests {
         }
     }
 
-    /// Half of the pixels lie a part of a code higher: against sums over drawn numbers, within five standard errors of some 60 frames' noise.
+    /// Half of the pixels lie a part of a code higher. Compared with 64 drawn frames; tolerance five standard
+    /// errors.
     #[test]
     fn two_halves_are_rounded_each_where_it_lies() {
         use crate::rng::{PixelRng, Stream};
@@ -526,7 +547,7 @@ mod tests {
         let found = rounded_apart(level, own.hypot(0.5 * apart), apart, sd * sd);
         let variance = variances.iter().sum::<f64>() / n;
         let scatter = variances.iter().map(|v| (v - variance).powi(2)).sum::<f64>() / n;
-        // Of the mean: where the pixels lie, and their noise.
+        // Error of the mean: from the pixels' levels, and from their noise.
         let error = ((own * own + variance / f64::from(frames)) / n).sqrt();
         assert!((found.mean + level - sum / n).abs() < 5.0 * error, "{found:?} {}", sum / n);
         let error = (scatter / n).sqrt();
@@ -534,7 +555,7 @@ mod tests {
         assert_eq!(rounded_apart(17.1, 0.3, 0.01, 0.04), rounded(17.1, 0.3, 0.04));
     }
 
-    /// Both sums agree where one takes over from the other, and a level far below 0 costs nothing.
+    /// Both sums agree at the switch from one to the other, and a level far below 0 takes no time.
     #[test]
     fn wide_noise_below_zero_is_summed_alike() {
         for level in [-1e9, -7.0, -5.2, -3.0, -0.4, 0.0, 1.7, 30.0] {
@@ -548,8 +569,8 @@ mod tests {
         assert_eq!(from_zero_of_wide(-1e300, 5.0), [0.0; 4]);
     }
 
-    /// Levels spread over several codes: the mean variance lacks the sum over k of exp(-(2 pi k sd)^2) / (2 pi^2 k^2) (Widrow and
-    /// Kollar 2008, ch. 4).
+    /// Levels spread over several codes: the mean variance is too small by the sum over k of exp(-(2 pi k
+    /// sd)^2) / (2 pi^2 k^2) (Widrow and Kollar 2008, ch. 4).
     #[test]
     fn narrow_noise_loses_what_the_series_says() {
         for sd in [0.05f64, 0.12, 0.2, 0.31, 0.5, 0.9] {
@@ -559,7 +580,7 @@ mod tests {
             };
             let lost: f64 = (1..400).map(|k| term(f64::from(k))).sum();
             let found = rounded(17.3, 1.3, sd * sd);
-            // The table's lines between its points, and levels that are cut off at three deviations.
+            // Tolerance: linear interpolation in the table, and levels cut off at three deviations.
             assert!((found.variance - (1.0 / 12.0 - lost)).abs() < 1e-3, "{sd}: {found:?} {lost}");
             assert!(found.mean.abs() < 1e-3 && (found.slope - 1.0).abs() < 0.02, "{sd}: {found:?}");
         }

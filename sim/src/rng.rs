@@ -13,7 +13,7 @@
 /// divisions and roots.
 pub const LANES: usize = 32;
 
-/// What a random number is for. Numbers of different streams are independent.
+/// Purpose of a random number. Numbers of different streams are independent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u16)]
 pub enum Stream {
@@ -23,17 +23,17 @@ pub enum Stream {
     Uniformity = 1,
     /// The map of dark current.
     DarkCurrent = 2,
-    /// Which pixels are hot, and how much.
+    /// Choice and strength of hot pixels.
     HotPixels = 3,
     /// The fixed pattern of the black level.
     Offset = 4,
     /// Grain of the card and of painted squares.
     Card = 5,
-    /// Spots on them.
+    /// Spots on card and painted squares.
     Spots = 6,
-    /// What effects draw for themselves.
+    /// Numbers drawn by effects.
     Effect = 7,
-    /// Random numbers of the pixels' read noise.
+    /// Map of the pixels' read noise.
     ReadNoise = 8,
     /// Pixels that are dead.
     DeadPixels = 9,
@@ -66,12 +66,12 @@ pub fn philox(key: u64, counter: [u32; 4]) -> [u32; 4] {
     [c0, c1, c2, c3]
 }
 
-/// The round keys of a seed, made once for many blocks.
+/// Round keys of a seed, computed once for many blocks.
 #[derive(Debug, Clone, Copy)]
 pub struct Keys([[u64; 2]; ROUNDS]);
 
 impl Keys {
-    /// The key schedule of Philox for `seed`.
+    /// Computes the key schedule of Philox for `seed`.
     pub fn new(seed: u64) -> Self {
         let (mut k0, mut k1) = (seed as u32, (seed >> 32) as u32);
         Self(std::array::from_fn(|_| {
@@ -83,7 +83,7 @@ impl Keys {
     }
 }
 
-/// [`philox`] for [`LANES`] consecutive pixels, draw 0. The upper halves of the lanes hold rubbish.
+/// Computes [`philox`] for [`LANES`] consecutive pixels, draw 0. The upper halves of the lanes hold garbage.
 #[inline(always)]
 fn philox_lanes(keys: &Keys, frame: u64, first_pixel: u32) -> [[u64; LANES]; 4] {
     let start = counter(Stream::Frame, frame, first_pixel, 0).map(u64::from);
@@ -108,21 +108,23 @@ const ONE_BITS: u64 = 0x3FF0_0000_0000_0000;
 const MANTISSA: u64 = 0x000F_FFFF_FFFF_FFFF;
 const LOW32: u64 = 0xFFFF_FFFF;
 
-/// 2^52: an integer below it, put into the mantissa of this number, reads as itself added to it.
+/// 2^52: an integer below it, written to the mantissa of this number, is added to it.
 const TWO_52: f64 = 4_503_599_627_370_496.0;
-/// An integer below 2^52 as `f64`; vectorises where the machine has no such conversion.
+/// Converts an integer below 2^52 to `f64`; vectorises on machines without such a conversion.
 #[inline(always)]
 fn from_integer_bits(bits: u64) -> f64 {
     f64::from_bits(TWO_52.to_bits() | bits) - TWO_52
 }
 
-/// An integral `f64` from 0 to 2^52 as bits; the inverse of the above, rubbish above the 52nd bit.
+/// Converts an integral `f64` from 0 to 2^52 to bits: the inverse of `from_integer_bits`; bits above the 52nd
+/// are garbage.
 #[inline(always)]
 pub(crate) fn integer_bits(x: f64) -> u64 {
     (x + TWO_52).to_bits()
 }
 
-/// Largest integer not above `x`, for |x| < 2^51, without a call where the machine has no such instruction.
+/// Returns the largest integer not above `x`, for |x| < 2^51, without a call on machines without such an
+/// instruction.
 #[inline(always)]
 pub(crate) fn floor(x: f64) -> f64 {
     const ROUND: f64 = 1.5 * TWO_52;
@@ -130,7 +132,7 @@ pub(crate) fn floor(x: f64) -> f64 {
     if r > x { r - 1.0 } else { r }
 }
 
-/// 52 random bits as a number in [0, 1).
+/// Converts 52 random bits to a number in [0, 1).
 #[inline(always)]
 fn unit(bits: u64) -> f64 {
     f64::from_bits(ONE_BITS | (bits & MANTISSA)) - 1.0
@@ -142,7 +144,7 @@ fn unit(bits: u64) -> f64 {
 #[inline(always)]
 fn minus_two_ln(x: f64) -> f64 {
     const ROOT_HALF_BITS: u64 = std::f64::consts::FRAC_1_SQRT_2.to_bits();
-    // Moves the step from one exponent to the next from 1 to sqrt(1/2).
+    // Moves the boundary between two exponents from 1 to sqrt(1/2).
     let moved = x.to_bits() + (ONE_BITS - ROOT_HALF_BITS);
     let e = f64::from_bits(TWO_52.to_bits() | (moved >> 52)) - (TWO_52 + 1023.0);
     let m = f64::from_bits((moved & MANTISSA) + ROOT_HALF_BITS);
@@ -158,7 +160,8 @@ fn minus_two_ln(x: f64) -> f64 {
     e * (-2.0 * std::f64::consts::LN_2) + s * p
 }
 
-/// exp(-x) for 0 <= x < 700, to 1e-15, in vectorisable steps: 2^n times the Taylor series of exp over |r| <= ln 2 / 2.
+/// exp(-x) for 0 <= x < 700, to 1e-15, in vectorisable steps: 2^n times the Taylor series of exp over |r| <=
+/// ln 2 / 2.
 #[inline(always)]
 pub(crate) fn exp_minus(x: f64) -> f64 {
     let n = floor(0.5 - x * std::f64::consts::LOG2_E);
@@ -218,7 +221,7 @@ fn cos_sin_quarter(f: f64) -> (f64, f64) {
     (c * z + 1.0, s * f)
 }
 
-/// A point of the two-dimensional normal distribution from 96 random bits (Box and Muller 1958), as the
+/// Converts 96 random bits to a point of the two-dimensional normal distribution (Box and Muller 1958): the
 /// square of its distance from the origin, -2 ln U, and its direction (cos, sin).
 #[inline(always)]
 fn normal_polar(w0: u64, w1: u64, w2: u64) -> (f64, f64, f64) {
@@ -233,8 +236,9 @@ fn normal_polar(w0: u64, w1: u64, w2: u64) -> (f64, f64, f64) {
     if w1 & (1 << 21) != 0 { (square, s, c) } else { (square, c, s) }
 }
 
-/// What one pixel needs in one frame: a point of the two-dimensional normal distribution, one coordinate
-/// for the charge and one for the amplifier, and 32 uniform bits that decide the Poisson draw.
+/// Random numbers of the pixels in one frame. Each pixel has a point of the two-dimensional normal
+/// distribution, one coordinate for the charge and one for the amplifier, and 32 uniform bits that decide the
+/// Poisson draw.
 #[derive(Debug, Clone, Copy)]
 pub struct NoiseLanes {
     /// Squared distance of the point from the origin.
@@ -247,7 +251,7 @@ pub struct NoiseLanes {
     pub bits: [f64; LANES],
 }
 
-/// The frame noise of [`LANES`] consecutive pixels, starting at `first_pixel` of the whole sensor.
+/// Returns the frame noise of [`LANES`] consecutive pixels, starting at `first_pixel` of the whole sensor.
 #[inline(always)]
 pub fn noise_lanes(keys: &Keys, frame: u64, first_pixel: u32) -> NoiseLanes {
     let [w0, w1, w2, w3] = philox_lanes(keys, frame, first_pixel);
@@ -257,7 +261,7 @@ pub fn noise_lanes(keys: &Keys, frame: u64, first_pixel: u32) -> NoiseLanes {
         let (square, cos, sin) = normal_polar(w0[i], w1[i], w2[i]);
         noise.square[i] = square;
         noise.cos[i] = cos;
-        // Single precision is ample for what is added to an amplifier's voltage, and a third of the time.
+        // Single precision is ample for noise of an amplifier's voltage, and takes a third of the time.
         noise.read[i] = f64::from((square as f32).sqrt()) * sin;
         noise.bits[i] = from_integer_bits(w3[i] & LOW32);
     }
@@ -272,7 +276,7 @@ pub struct PixelRng {
 }
 
 impl PixelRng {
-    /// Numbers for `pixel` of `frame` in `stream`, beginning with draw `draw`.
+    /// Creates the random stream of `pixel` of `frame` in `stream`, beginning with draw `draw`.
     pub fn new(seed: u64, stream: Stream, frame: u64, pixel: u32, draw: u32) -> Self {
         Self { key: seed, counter: counter(stream, frame, pixel, draw) }
     }
@@ -283,13 +287,13 @@ impl PixelRng {
         out
     }
 
-    /// Uniform in [0, 1) with 52 bits.
+    /// Draws a uniform number in [0, 1) with 52 bits.
     pub fn uniform(&mut self) -> f64 {
         let [a, b, ..] = self.block();
         unit(u64::from(a) | (u64::from(b) << 32))
     }
 
-    /// Two independent standard normal numbers.
+    /// Draws two independent standard normal numbers.
     pub fn normal_pair(&mut self) -> (f64, f64) {
         let [a, b, c, _] = self.block();
         let (square, cos, sin) = normal_polar(a.into(), b.into(), c.into());
@@ -297,12 +301,12 @@ impl PixelRng {
         (r * cos, r * sin)
     }
 
-    /// A standard normal number.
+    /// Draws a standard normal number.
     pub fn normal(&mut self) -> f64 {
         self.normal_pair().0
     }
 
-    /// A number of the exponential distribution with mean 1.
+    /// Draws a number of the exponential distribution with mean 1.
     pub fn exponential(&mut self) -> f64 {
         -libm::log(1.0 - self.uniform())
     }

@@ -1,4 +1,4 @@
-//! What stands before the camera, and how it is lit (Section III of the paper, eq. 7 to 19).
+//! Scene before the camera, and its lighting (Section III of the paper, eq. 7 to 19).
 
 use crate::model::{Bench, Body, Model};
 use crate::optics::shares;
@@ -7,7 +7,7 @@ use crate::surface::{FINE, aperture, inner, smooth};
 use ndarray::{Array2, Zip};
 use serde::{Deserialize, Serialize};
 
-/// What the camera looks at.
+/// Scene before the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Scene {
@@ -27,7 +27,7 @@ pub const PATCH_BACKGROUND: f64 = 0.08;
 const GAP: f64 = 0.03;
 
 impl Bench {
-    /// Where square number `index` of the chart is seen, without its edges, pixels.
+    /// Returns the image region of square number `index` of the chart, without its edges, pixels.
     pub fn square_region(&self, body: &Body, index: usize) -> Region {
         let (x, y, width, height) = cell(body, self.chart.len(), index);
         let (edge_x, edge_y) = (width.div_ceil(8), height.div_ceil(8));
@@ -40,7 +40,7 @@ impl Bench {
     }
 }
 
-/// First column, first row, width and height of a square: three in a row.
+/// Returns first column, first row, width and height of a square; three squares stand in a row.
 fn cell(body: &Body, squares: usize, index: usize) -> (usize, usize, usize, usize) {
     let across = squares.clamp(1, 3);
     let down = squares.div_ceil(across).max(1);
@@ -50,8 +50,8 @@ fn cell(body: &Body, squares: usize, index: usize) -> (usize, usize, usize, usiz
     (left, top, (column + 1) * w / across - left, (row + 1) * h / down - top)
 }
 
-/// The relative light at every pixel, (rows, columns), in electrons per electron of a plain card in the middle of the
-/// light: 1 there.
+/// Returns the relative light at every pixel, (rows, columns), in electrons per electron of a plain card in
+/// the middle of the light: 1 there.
 pub(crate) fn light_map(model: &Model, scene: Scene, configuration: u32) -> Array2<f32> {
     let mut light = light_of_card(model, scene, configuration);
     let radius = model.bench.image_circle;
@@ -66,15 +66,17 @@ pub(crate) fn light_map(model: &Model, scene: Scene, configuration: u32) -> Arra
     light
 }
 
-/// Width of the image circle's rim, over the radius: of a lens with its iris closed a little (a named choice).
+/// Width of the image circle's rim, over the radius, as of a lens with its iris closed a little (a named
+/// choice).
 const RIM: f64 = 0.05;
 
-/// The same without the image circle.
+/// Computes the light without the image circle.
 fn light_of_card(model: &Model, scene: Scene, configuration: u32) -> Array2<f32> {
     let (body, bench) = (&model.camera, &model.bench);
     let shape = (body.height as usize, body.width as usize);
     let (h, w) = (shape.0 as f64, shape.1 as f64);
-    // Card and lamp are moved: the middle of the light wanders and its slope turns by the golden angle.
+    // Card and lamp move with the configuration: the middle of the light shifts, and its slope turns by the
+    // golden angle.
     let turn = f64::from(configuration) * 2.399_963_229_728_653;
     let (along_x, along_y) = (libm::cos(turn), libm::sin(turn));
     let wander = if configuration == 0 { 0.0 } else { 0.25 };
@@ -96,7 +98,7 @@ fn light_of_card(model: &Model, scene: Scene, configuration: u32) -> Array2<f32>
     let reach = shares.iter().map(|s| s.kernel.len() / 2).max().unwrap_or(0);
     let plain = scene != Scene::Chart && bench.card.is_plain();
     if plain && reach == 0 {
-        // Nothing finer than a pixel: the light is taken at its middle.
+        // No structure is finer than a pixel: the light is taken at its middle.
         let all: f64 = shares.iter().map(|s| scale(s.electrons) * s.card).sum();
         return Array2::from_shape_fn(shape, |(row, column)| {
             let (x, y) = (column as f64 + 0.5, row as f64 + 0.5);
@@ -106,9 +108,10 @@ fn light_of_card(model: &Model, scene: Scene, configuration: u32) -> Array2<f32>
     }
 
     let margin = reach.div_ceil(FINE);
-    // Reflectance over its mean: what every band sees alike.
+    // Reflectance over its mean, the same in every band.
     let mut varies = bench.card.draw(shape, margin, model.base.seed, u64::from(configuration));
-    // Mean reflectance over the card's: the square's number, where there is one.
+    // Number of the square at each point, where there is one; it selects the mean reflectance over the
+    // card's.
     let squares = if scene == Scene::Chart { bench.chart.len() } else { 0 };
     let mut painted: Array2<u8> = Array2::from_elem(varies.dim(), u8::MAX);
     for (index, square) in bench.chart.iter().enumerate().take(squares) {
@@ -205,7 +208,7 @@ mod tests {
         assert!((seen - 0.025).abs() < 1e-5, "{seen}");
     }
 
-    /// A card that is moved shows every pixel a new patch; one that stays shows the same.
+    /// A moved card shows every pixel a new patch; one that stays shows the same.
     #[test]
     fn each_configuration_shows_a_new_patch() {
         let mut model = model();

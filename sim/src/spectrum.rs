@@ -1,25 +1,26 @@
-//! Noise as a power spectrum over the sensor, so that charge sharing and filters are multiplications (Wiener-Khinchin); covariances at
-//! small lags come back by the inverse transform. Noise of whole lines, and light that ripples from row to row, have forms of their own.
+//! Noise as a power spectrum over the sensor, so that charge sharing and filters are multiplications
+//! (Wiener-Khinchin). The inverse transform gives the covariances at small lags. Noise of whole lines, and
+//! light that ripples from row to row, have forms of their own.
 
 use std::sync::OnceLock;
 
 /// Side of the grid of spatial frequencies.
 pub const GRID: usize = 16;
 
-/// Frequencies from 0 to half a cycle per pixel along one axis: those below 0 mirror them, since every spectrum here is even along
-/// each axis.
+/// Number of frequencies from 0 to half a cycle per pixel along one axis. Negative frequencies mirror them,
+/// since every spectrum here is even along each axis.
 pub const HALF: usize = GRID / 2 + 1;
 
-/// Covariances are known at lags from 0 to this, less one.
+/// Number of lags with a known covariance, from 0.
 pub const LAGS: usize = 4;
 
-/// Power of the noise at HALF x HALF spatial frequencies, e^2 or DN^2 for each pixel. Noise without correlation,
-/// which most models have only, is one number.
+/// Power of the noise at HALF x HALF spatial frequencies, e^2 or DN^2 for each pixel. Noise without
+/// correlation, the only noise of most models, is one number.
 #[derive(Debug, Clone)]
 pub struct Spectrum {
-    /// Power at every frequency alike.
+    /// White power, the same at every frequency.
     white: f64,
-    /// Power beyond that, row-major: vertical, horizontal.
+    /// Power beyond the white one, row-major: vertical, horizontal.
     shaped: Option<Box<Powers>>,
 }
 
@@ -32,28 +33,28 @@ impl PartialEq for Spectrum {
     }
 }
 
-/// The angle of frequency number i, radians per pixel.
+/// Returns the angle of frequency number i, radians per pixel.
 pub fn angle(i: usize) -> f64 {
     std::f64::consts::TAU * i as f64 / GRID as f64
 }
 
-/// Share of frequency number i among all of one axis.
+/// Returns the share of frequency number i among all of one axis.
 fn share(i: usize) -> f64 {
     (if i == 0 || i == HALF - 1 { 1.0 } else { 2.0 }) / GRID as f64
 }
 
 impl Spectrum {
-    /// Noise without correlation.
+    /// Creates noise without correlation.
     pub fn white(variance: f64) -> Self {
         Self { white: variance, shaped: None }
     }
 
-    /// Power at frequency number i, row-major.
+    /// Returns the power at frequency number i, row-major.
     fn at(&self, i: usize) -> f64 {
         self.white + self.shaped.as_ref().map_or(0.0, |of| of[i])
     }
 
-    /// All powers, to be changed one by one.
+    /// Returns all powers, to be changed one by one.
     fn powers(&mut self) -> &mut Powers {
         let white = std::mem::take(&mut self.white);
         let shaped = self.shaped.get_or_insert_with(|| Box::new([0.0; HALF * HALF]));
@@ -98,10 +99,11 @@ impl Spectrum {
         }
     }
 
-    /// Variance of a pixel.
+    /// Returns the variance of a pixel.
     pub fn variance(&self) -> f64 {
         let Some(shaped) = &self.shaped else { return self.white };
-        // All frequencies of an axis but the first and the last stand for themselves and for those below 0.
+        // All frequencies of an axis but the first and the last count twice: for themselves and for the
+        // negative ones.
         let twice = |of: [f64; HALF]| 2.0 * of.iter().sum::<f64>() - of[0] - of[HALF - 1];
         let (mut lanes, rows) = ([0.0; HALF], shaped.as_chunks::<HALF>().0);
         for (i, row) in rows.iter().enumerate() {
@@ -111,7 +113,7 @@ impl Spectrum {
         self.white + twice(lanes) / (GRID * GRID) as f64
     }
 
-    /// Covariance at a lag: rows down, columns to the right; at most 3 of each.
+    /// Returns the covariance at a lag: rows down, columns to the right; at most 3 of each.
     pub fn lag(&self, dy: i32, dx: i32) -> f64 {
         if (dy, dx) == (0, 0) {
             return self.variance();
@@ -119,7 +121,7 @@ impl Spectrum {
         let Some(shaped) = &self.shaped else { return 0.0 };
         let lag = |d: i32| (d.unsigned_abs() as usize).min(LAGS - 1);
         let table = &cosines()[lag(dy) * LAGS + lag(dx)];
-        // Sums that do not wait for each other: a fit asks for this some million times.
+        // Independent partial sums: a fit calls this some million times.
         let mut lanes = [0.0; HALF];
         for (powers, cosines) in shaped.as_chunks::<HALF>().0.iter().zip(table.as_chunks::<HALF>().0) {
             for i in 0..HALF {
@@ -129,7 +131,7 @@ impl Spectrum {
         lanes.iter().sum()
     }
 
-    /// Covariance at every lag of up to 3 rows and columns.
+    /// Returns the covariance at every lag of up to 3 rows and columns.
     pub fn lags(&self) -> [[f64; LAGS]; LAGS] {
         let mut out = [[0.0; LAGS]; LAGS];
         if let Some(shaped) = &self.shaped {
@@ -148,28 +150,29 @@ impl Spectrum {
         out
     }
 
-    /// Power of the mean over all pixels, times their number.
+    /// Returns the power of the mean over all pixels, times their number.
     pub fn of_mean(&self) -> f64 {
         self.at(0)
     }
 
-    /// Power of the means of rows (axis 1) or of columns (axis 0), times the pixels of one: what has no variation along them.
+    /// Returns the power of the means of rows (axis 1) or of columns (axis 0), times the pixels of one: the
+    /// part without variation along them.
     pub fn along(&self, axis: usize) -> f64 {
         if axis == 1 { self.along_lag(0) } else { self.across_lag(0) }
     }
 
-    /// Covariance of the means of rows this far apart, at most 3, times the pixels of one.
+    /// Returns the covariance of the means of rows this far apart, at most 3, times the pixels of one.
     pub fn along_lag(&self, rows: usize) -> f64 {
         self.means_at(rows, HALF)
     }
 
-    /// Covariance of the means of columns this far apart, at most 3, times the pixels of one.
+    /// Returns the covariance of the means of columns this far apart, at most 3, times the pixels of one.
     pub fn across_lag(&self, columns: usize) -> f64 {
         self.means_at(columns, 1)
     }
 
-    /// Covariance of the means of lines this far apart, times the pixels of one. `step`: distance from one frequency
-    /// across the lines to the next.
+    /// Returns the covariance of the means of lines this far apart, times the pixels of one. `step` is the
+    /// distance from one frequency across the lines to the next.
     fn means_at(&self, lines: usize, step: usize) -> f64 {
         let white = if lines == 0 { self.white } else { 0.0 };
         let Some(shaped) = &self.shaped else { return white };
@@ -178,7 +181,7 @@ impl Spectrum {
     }
 }
 
-/// The cosine of each frequency of one axis at each lag, times the frequency's share.
+/// Returns the cosine of each frequency of one axis at each lag, times the frequency's share.
 fn along_one_axis() -> &'static [[f64; LAGS]; HALF] {
     static TABLE: OnceLock<[[f64; LAGS]; HALF]> = OnceLock::new();
     TABLE.get_or_init(|| {
@@ -186,7 +189,7 @@ fn along_one_axis() -> &'static [[f64; LAGS]; HALF] {
     })
 }
 
-/// The same of both axes, frequency by frequency, for every lag of both.
+/// Returns the products of these cosines for both axes, frequency by frequency, for every lag of both.
 fn cosines() -> &'static [Vec<f64>] {
     static TABLE: OnceLock<Vec<Vec<f64>>> = OnceLock::new();
     TABLE.get_or_init(|| {
@@ -197,17 +200,17 @@ fn cosines() -> &'static [Vec<f64>] {
     })
 }
 
-/// Noise that the pixels of a line share: its power from line to line at HALF frequencies, e^2, then DN^2.
+/// Noise shared by the pixels of a line: its power from line to line at HALF frequencies, e^2, then DN^2.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct LineNoise([f64; HALF]);
 
 impl LineNoise {
-    /// Adds noise that lines do not share.
+    /// Adds noise that is independent from line to line.
     pub fn add(&mut self, variance: f64) {
         self.0.iter_mut().for_each(|p| *p += variance);
     }
 
-    /// Covariance of lines this far apart, at most 3.
+    /// Returns the covariance of lines this far apart, at most 3.
     pub fn lag(&self, d: i32) -> f64 {
         if self.0.iter().all(|p| *p == self.0[0]) {
             return if d == 0 { self.0[0] } else { 0.0 };
@@ -216,7 +219,7 @@ impl LineNoise {
         self.0.iter().zip(along_one_axis()).map(|(p, cosines)| p * cosines[lag]).sum()
     }
 
-    /// Power of the mean over all lines, times their number.
+    /// Returns the power of the mean over all lines, times their number.
     pub fn of_mean(&self) -> f64 {
         self.0[0]
     }
@@ -227,7 +230,7 @@ impl LineNoise {
     }
 }
 
-/// A linear filter of the image: what it does to power at every frequency.
+/// Linear filter of the image: its factor on the power at every frequency.
 pub struct Filter<'a> {
     power: &'a dyn Fn(f64, f64) -> f64,
     table: Vec<f64>,
@@ -235,61 +238,63 @@ pub struct Filter<'a> {
 }
 
 impl<'a> Filter<'a> {
-    /// From the square of its gain at a vertical and a horizontal angle, radians per pixel; even in both.
+    /// Creates a filter from the square of its gain at a vertical and a horizontal angle, radians per pixel;
+    /// even in both.
     pub fn new(power: &'a dyn Fn(f64, f64) -> f64) -> Self {
         let table = (0..HALF * HALF).map(|i| power(angle(i / HALF), angle(i % HALF))).collect();
         Self { power, table, of_single: 1.0 }
     }
 
-    /// Cumulants of a sum of pixels with these weights. Sums of independent pixels of unequal noise are more
-    /// alike, by sum w^4 / (sum w^2)^2.
+    /// Sets the cumulants of a sum of pixels with these weights. Sums of independent pixels of unequal noise
+    /// are more alike, by sum w^4 / (sum w^2)^2.
     pub fn of_weights(self, weights: impl Iterator<Item = f64>) -> Self {
         let (second, fourth) = weights.fold((0.0, 0.0), |(a, b), w| (a + w * w, b + w * w * w * w));
         Self { of_single: if second > 0.0 { fourth / (second * second) } else { 1.0 }, ..self }
     }
 
-    /// Factor on the spread of the pixels' variances and on fourth cumulants, beyond that of the variance.
+    /// Returns the factor on the spread of the pixels' variances and on fourth cumulants, beyond that of the
+    /// variance.
     pub fn of_single(&self) -> f64 {
         self.of_single
     }
 
-    /// Acts on one kind of noise.
+    /// Filters one kind of noise.
     pub fn apply(&self, noise: &mut Spectrum) {
         noise.shape_by(self.table.iter().copied());
     }
 
-    /// Acts on noise that the pixels of a row share.
+    /// Filters noise that the pixels of a row share.
     pub fn apply_to_rows(&self, noise: &mut LineNoise) {
         noise.0.iter_mut().enumerate().for_each(|(i, p)| *p *= self.table[i * HALF]);
     }
 
-    /// Acts on noise that the pixels of a column share.
+    /// Filters noise that the pixels of a column share.
     pub fn apply_to_columns(&self, noise: &mut LineNoise) {
         noise.0.iter_mut().zip(&self.table).for_each(|(p, h)| *p *= h);
     }
 
-    /// What it does to noise that all pixels share.
+    /// Returns the factor on the power of noise that all pixels share.
     pub fn of_mean(&self) -> f64 {
         self.table[0]
     }
 
-    /// What it does at a vertical and a horizontal angle, radians per pixel.
+    /// Returns the factor on the power at a vertical and a horizontal angle, radians per pixel.
     pub fn at(&self, vertical: f64, horizontal: f64) -> f64 {
         (self.power)(vertical, horizontal)
     }
 }
 
-/// How a light that ripples while a rolling shutter runs changes from row to row.
+/// Change of a rippling light from row to row under a rolling shutter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Ripple {
-    /// A sine of so many cycles per row, with a phase of its own in every frame.
+    /// Sine of this number of cycles per row, with a new phase in every frame.
     Sine(f64),
-    /// A slow wander: correlation from one row to the next.
+    /// Slow wander: correlation from one row to the next.
     Wander(f64),
 }
 
 impl Ripple {
-    /// Correlation of rows this far apart.
+    /// Returns the correlation of rows this far apart.
     pub fn correlation(&self, rows: f64) -> f64 {
         if rows == 0.0 {
             return 1.0;
@@ -300,7 +305,8 @@ impl Ripple {
         }
     }
 
-    /// Mean correlation of the rows from the first to `to` with all of so many: sums of cosines and of geometric series.
+    /// Returns the mean correlation of the rows from the first to `to` with all `rows` rows: sums of cosines
+    /// and of geometric series.
     pub fn with_mean(&self, to: f64, rows: f64) -> f64 {
         match *self {
             Self::Sine(cycles) => {
@@ -309,12 +315,14 @@ impl Ripple {
                 if one.abs() < 1e-9 {
                     return 1.0;
                 }
-                // A row has (sin((2y + 1) half) + sin((2 (rows - y) - 1) half)) / (2 rows sin half).
+                // Mean of row y with all rows: (sin((2y + 1) half) + sin((2 (rows - y) - 1) half)) / (2 rows
+                // sin half).
                 let square = |n: f64| libm::sin(n * half).powi(2);
                 (square(to) + square(rows) - square(rows - to)) / (2.0 * rows * to * one * one)
             }
             Self::Wander(next) => {
-                // A row has (1 + next - next^(y + 1) - next^(rows - y)) / (rows (1 - next)).
+                // Mean of row y with all rows: (1 + next - next^(y + 1) - next^(rows - y)) / (rows (1 -
+                // next)).
                 let next = next.clamp(1e-12, 1.0 - 1e-9);
                 let less = 1.0 - next;
                 let ends = next * (1.0 - power(next, to)) * (1.0 + power(next, rows - to)) / less / to;
@@ -322,9 +330,9 @@ impl Ripple {
             }
         }
     }
-    /// Variance of the mean product with a cosine of `halves` half turns over all rows (mean square 1), relative to
-    /// the variance of a row. Cosines of the discrete cosine transform (Ahmed, Natarajan and Rao 1974, IEEE Trans.
-    /// Comput. C-23, 90).
+    /// Returns the variance of the mean product with a cosine of `halves` half turns over all rows (mean
+    /// square 1), relative to the variance of a row. The cosines are those of the discrete cosine transform
+    /// (Ahmed, Natarajan and Rao 1974, IEEE Trans. Comput. C-23, 90).
     ///
     /// Products of cosines d rows apart sum to (rows - d) cos(d a) - sin(d a) / sin a, a = pi halves / rows.
     pub fn with_cosine(&self, halves: u32, rows: f64) -> f64 {
@@ -341,7 +349,8 @@ impl Ripple {
                 let end = power(next, rows);
                 let end = (end * libm::cos(a * rows), end * libm::sin(a * rows));
                 let less = (1.0 - z.0, -z.1);
-                // The sum of z^d from 1 to rows - 1, and rows - z (1 - z^rows) / (1 - z), over 1 - z, less rows.
+                // The sum of z^d from 1 to rows - 1, and rows - z (1 - z^rows) / (1 - z), over 1 - z, less
+                // rows.
                 let series = over(times(z, (1.0 - end.0, -end.1)), less);
                 let sines = over((z.0 - end.0, z.1 - end.1), less).1;
                 let cosines = over((rows - series.0, -series.1), less).0 - rows;
@@ -351,11 +360,11 @@ impl Ripple {
     }
 }
 
-/// Mean square of the product of a sine of this turn per line and of any phase with the cosine of so many half
-/// turns over all lines (of mean square 1), over that of the sine.
+/// Returns the mean square of the product of a sine, of this turn per line and of any phase, with the cosine
+/// of `halves` half turns over all lines (of mean square 1), over that of the sine.
 pub fn cosine_power(halves: u32, lines: f64, turn: f64) -> f64 {
     let a = std::f64::consts::PI * f64::from(halves) / lines;
-    // Sum of e^(i t y) over all lines, its phase at the middle taken off (Dirichlet's kernel).
+    // Sum of e^(i t y) over all lines, with the phase at the middle removed (Dirichlet's kernel).
     let sum = |t: f64| {
         let half = libm::sin(0.5 * t);
         if half.abs() < 1e-9 { lines } else { libm::sin(0.5 * lines * t) / half }
@@ -373,7 +382,8 @@ fn over(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
     ((a.0 * b.0 + a.1 * b.1) / square, (a.1 * b.0 - a.0 * b.1) / square)
 }
 
-/// A number of at least 0 to the power of a whole number of rows, by squaring: a fit asks for it some million times.
+/// Returns a number of at least 0 to the power of a whole number of rows, by squaring: a fit calls it some
+/// million times.
 fn power(of: f64, rows: f64) -> f64 {
     let (mut out, mut square, mut left) = (1.0, of, rows as u64);
     while left > 0 {
@@ -400,7 +410,7 @@ mod tests {
         }
     }
 
-    /// Products with cosines against sums over all pairs of rows.
+    /// Products with cosines, compared with sums over all pairs of rows.
     #[test]
     fn products_with_cosines_are_those_of_the_sums() {
         for rows in [16u32, 97] {
@@ -422,7 +432,8 @@ mod tests {
         }
     }
 
-    /// The variance is the covariance at lag 0, and what lines share that of their means: for a spectrum without any symmetry but its own.
+    /// The variance equals the covariance at lag 0, and the shared part of lines that of their means, for a
+    /// spectrum without any symmetry but its own.
     #[test]
     fn sums_over_frequencies_agree() {
         let mut noise = Spectrum::white(1.0);

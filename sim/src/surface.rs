@@ -1,7 +1,7 @@
 //! Surfaces: reflectance as a mean plus a random variation (Section III of the paper, eq. 7 to 9).
 //!
-//! A surface is drawn on a grid finer than the pixels, so that optics and pixel aperture act on structure that a pixel
-//! cannot resolve, and structure above the Nyquist frequency aliases as it should.
+//! A surface is drawn on a grid finer than the pixels, so that optics and pixel aperture act on structure
+//! that a pixel cannot resolve, and structure above the Nyquist frequency aliases as it should.
 
 use crate::rng::{PixelRng, Stream};
 use ndarray::{Array2, Axis};
@@ -22,7 +22,7 @@ pub enum Spectrum {
     Exponential,
 }
 
-/// How a surface's reflectance varies about its mean.
+/// Variation of a surface's reflectance about its mean.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Texture {
@@ -30,7 +30,7 @@ pub struct Texture {
     pub grain: f64,
     /// Correlation length L of the grain, pixels; 0: white on the fine grid.
     pub grain_length_px: f64,
-    /// Shape of its spectrum.
+    /// Shape of the grain's spectrum.
     pub spectrum: Spectrum,
     /// Share of pixels with a spot.
     pub spot_fraction: f64,
@@ -38,21 +38,21 @@ pub struct Texture {
     pub spot_depth: f64,
     /// Relative amplitude of a grating along the rows.
     pub grating: f64,
-    /// Its frequency, cycles per pixel.
+    /// Frequency of the grating, cycles per pixel.
     pub grating_cycles_per_px: f64,
 }
 
 impl Texture {
-    /// Whether there is anything to draw.
+    /// Returns true if there is nothing to draw.
     pub fn is_plain(&self) -> bool {
         self.grain == 0.0 && self.spot_fraction * self.spot_depth == 0.0 && self.grating == 0.0
     }
 
-    /// The reflectance over its mean on the fine grid, for `shape` pixels (rows, columns) and `margin` pixels more on
-    /// every side. `patch` chooses the piece of the surface.
+    /// Draws the reflectance over its mean on the fine grid, for `shape` pixels (rows, columns) and `margin`
+    /// more pixels on every side. `patch` selects the piece of the surface.
     pub(crate) fn draw(&self, shape: (usize, usize), margin: usize, seed: u64, patch: u64) -> Array2<f64> {
         let side = |n: usize| (n + 2 * margin) * FINE;
-        // The grain is smoothed inside, from a wider field.
+        // The grain is smoothed on a wider field, which is then cropped.
         let sigma = self.grain_length_px / std::f64::consts::SQRT_2 * FINE as f64;
         let kernel = match self.spectrum {
             Spectrum::Gaussian => gaussian(sigma),
@@ -69,7 +69,7 @@ impl Texture {
                     pair.iter_mut().zip([a, b]).for_each(|(v, n)| *v = self.grain * n);
                 });
             }
-            // White noise keeps its variance where the squares of the kernel add up to one.
+            // White noise keeps its variance if the squares of the kernel add up to one.
             let norm = kernel.iter().map(|k| k * k).sum::<f64>().sqrt();
             let kernel: Vec<f64> = kernel.iter().map(|k| k / norm).collect();
             inner(&smooth(&white, &kernel), reach) + 1.0
@@ -101,7 +101,7 @@ impl Texture {
     }
 }
 
-/// A normalised Gaussian kernel of standard deviation `sigma`, grid points; a single 1 for none.
+/// Returns a normalised Gaussian kernel of standard deviation `sigma`, grid points; a single 1 if it is 0.
 pub(crate) fn gaussian(sigma: f64) -> Vec<f64> {
     let reach = libm::ceil(4.0 * sigma) as i64;
     normalised((-reach..=reach).map(|i| {
@@ -122,7 +122,7 @@ fn normalised(kernel: impl Iterator<Item = f64>) -> Vec<f64> {
     kernel
 }
 
-/// Convolution with the same kernel along both axes; the border is repeated.
+/// Convolves with the same kernel along both axes; the border is repeated.
 pub(crate) fn smooth(image: &Array2<f64>, kernel: &[f64]) -> Array2<f64> {
     if kernel.len() < 2 {
         return image.clone();
@@ -148,13 +148,13 @@ pub(crate) fn smooth(image: &Array2<f64>, kernel: &[f64]) -> Array2<f64> {
     along_rows(&turned).reversed_axes().as_standard_layout().into_owned()
 }
 
-/// The image without `margin` points on every side.
+/// Crops `margin` points on every side.
 pub(crate) fn inner(image: &Array2<f64>, margin: usize) -> Array2<f64> {
     let (rows, columns) = image.dim();
     image.slice(ndarray::s![margin..rows - margin, margin..columns - margin]).to_owned()
 }
 
-/// Integration over the apertures of the pixels: the mean of each pixel's fine points (eq. 16).
+/// Integrates over the apertures of the pixels: the mean of each pixel's fine points (eq. 16).
 pub(crate) fn aperture(fine: &Array2<f64>) -> Array2<f64> {
     let (rows, columns) = (fine.nrows() / FINE, fine.ncols() / FINE);
     Array2::from_shape_fn((rows, columns), |(y, x)| {
@@ -175,8 +175,8 @@ mod tests {
         product / (field.mapv(|v| (v - mean).powi(2)).sum() / field.len() as f64)
     }
 
-    /// Standard deviation and correlation of the grain are those asked for. The field holds some 700 independent
-    /// patches: four standard errors of a deviation are 0.11.
+    /// Standard deviation and correlation of the grain are those asked for. The field holds some 700
+    /// independent patches: four standard errors of a deviation are 0.11.
     #[test]
     fn grain_has_its_spread_and_its_length() {
         for (spectrum, at_length) in [(Spectrum::Gaussian, (-0.5f64).exp()), (Spectrum::Exponential, 0.73)] {
@@ -191,7 +191,8 @@ mod tests {
         }
     }
 
-    /// A grating of 0.8 cycles per pixel is seen at 0.2, weakened by the aperture's sinc: 0.234 of it is left.
+    /// A grating of 0.8 cycles per pixel is seen at 0.2, weakened by the aperture's sinc: 0.234 of it is
+    /// left.
     #[test]
     fn structure_above_nyquist_aliases() {
         let texture = Texture { grating: 0.5, grating_cycles_per_px: 0.8, ..Default::default() };
@@ -204,7 +205,8 @@ mod tests {
             }
             (c * c + s * s).sqrt() / 50.0
         };
-        // Three points a pixel: the mean of three cosines, sin(3 t / 2) / (3 sin(t / 2)) with t = 2 pi 0.8 / 3.
+        // Three points a pixel: the mean of three cosines, sin(3 t / 2) / (3 sin(t / 2)) with t = 2 pi 0.8 /
+        // 3.
         let t = std::f64::consts::TAU * 0.8 / 3.0;
         let left = ((1.5 * t).sin() / (3.0 * (0.5 * t).sin())).abs();
         assert!((wave(0.2) / (0.5 * left) - 1.0).abs() < 0.02, "{} {left}", wave(0.2));

@@ -1,9 +1,9 @@
-//! Values of files in messages: a part of each, so that a field of 100 MB is not repeated.
+//! Values of files in messages, shortened so that a field of 100 MB is not repeated.
 
-/// Characters of a value that a message repeats.
+/// Maximum number of characters of a value that a message repeats.
 const MAX_ECHO: usize = 80;
 
-/// A value of a file as a message repeats it: at most 80 characters.
+/// Shortens a value of a file for a message: at most 80 characters.
 pub fn echo(value: &str) -> String {
     match value.char_indices().nth(MAX_ECHO) {
         None => value.into(),
@@ -11,8 +11,8 @@ pub fn echo(value: &str) -> String {
     }
 }
 
-/// A parser's message of one sentence, which may repeat a value anywhere: its first 50 and last 30 characters
-/// where it is long.
+/// Shortens a parser's message of one sentence, which may repeat a value anywhere: a long one keeps its first
+/// 50 and last 30 characters.
 pub fn echo_message(message: &str) -> String {
     const LONG: usize = 120;
     let characters = message.chars().count();
@@ -24,9 +24,10 @@ pub fn echo_message(message: &str) -> String {
     format!("{start}...{end}")
 }
 
-/// A parser's message of several lines, which may repeat lines of the file: at most 80 characters of each.
+/// Shortens a parser's message of several lines, which may repeat lines of the file: at most 80 characters of
+/// each.
 pub fn echo_lines(message: &str) -> String {
-    /// Lines of a message of the TOML parser, which repeats one line of the file.
+    /// Maximum number of lines: the TOML parser repeats one line of the file.
     const MAX_LINES: usize = 12;
     message.trim_end().lines().take(MAX_LINES).map(echo).collect::<Vec<_>>().join("\n")
 }

@@ -7,11 +7,11 @@ use crate::predict::{BITS, NORMAL, PLACES};
 /// The weights of the six lowest bits, of the six highest, or of both are off by some part of a step.
 pub struct AdcNonlinearity;
 
-/// Bits at each end that have a weight of their own.
+/// Number of bits at each end with a weight error of their own.
 const EACH: usize = 6;
 
-/// Parameter of one bit; `max` is nearly half of the weight of a low bit, and nearly a code for the lowest
-/// (named choices: with more, codes would run backwards).
+/// Builds the parameter of one bit; `max` is nearly half of the weight of a low bit, and nearly a code for
+/// the lowest (named choices: with more, codes would run backwards).
 const fn bit(name: &'static str, meaning: &'static str, max: f64) -> Parameter {
     Parameter { name, meaning, unit: "DN", min: -max, max, starts: &[0.05] }
 }
@@ -20,13 +20,14 @@ const fn weight(bit: usize) -> f64 {
     (1u32 << bit) as f64
 }
 
-/// Gain error of these bit errors: the part in proportion to the weights, over the weights (least squares).
+/// Returns the gain error of these bit errors: the part in proportion to the weights, over the weights (least
+/// squares).
 fn gain_of(errors: &[f64]) -> f64 {
     let sum = |of: &dyn Fn(usize) -> f64| (0..errors.len()).map(of).sum::<f64>();
     sum(&|b| weight(b) * errors[b]) / sum(&|b| weight(b) * weight(b)).max(1.0)
 }
 
-/// Errors of all bits of a converter of so many.
+/// Returns the errors of all bits of a converter of `bits` bits.
 fn errors(p: &[f64], bits: usize) -> [f64; BITS] {
     let mut out = [0.0; BITS];
     let part = p[0].round() as i32;
@@ -39,26 +40,26 @@ fn errors(p: &[f64], bits: usize) -> [f64; BITS] {
         }
     }
     if part != 0 {
-        // Nonlinearity counts from the straight line: the gain error is taken out.
+        // Nonlinearity counts from the straight line, so the gain error is removed.
         let gain = gain_of(&out[..bits]);
         (0..bits).for_each(|b| out[b] -= gain * weight(b));
     }
     out
 }
 
-/// What the voltage of a code is too large by, as steps at the codes where bits of wrong weight change.
+/// Excess of the voltage of a code, as steps at the codes where bits of wrong weight change.
 struct Steps {
     /// Number of bits.
     bits: usize,
-    /// The lowest bit whose error is not 0: a step stands at each multiple of its weight.
+    /// Lowest bit whose error is not 0: a step stands at each multiple of its weight.
     lowest: usize,
     errors: [f64; BITS],
-    /// The step where this bit is set and all below it are cleared, DN.
+    /// Step where this bit is set and all below it are cleared, DN.
     height: [f64; BITS],
 }
 
 impl Steps {
-    /// Of the bits whose error is not 0.
+    /// Builds the steps of the bits whose error is not 0.
     fn new(errors: [f64; BITS], bits: usize) -> Self {
         let lowest = errors[..bits].iter().position(|e| *e != 0.0).unwrap_or(bits);
         let mut height = errors;
@@ -68,7 +69,7 @@ impl Steps {
         Self { bits, lowest, errors, height }
     }
 
-    /// What is too large between the step of this number and the next.
+    /// Returns the excess between the step of this number and the next.
     fn sum(&self, number: usize) -> f64 {
         (self.lowest..self.bits)
             .filter(|b| number >> (b - self.lowest) & 1 == 1)
@@ -76,10 +77,10 @@ impl Steps {
             .sum()
     }
 
-    /// Mean over normal noise about a level, DN, and its slope with the level.
+    /// Returns the mean over normal noise about a level, DN, and its slope with the level.
     fn over(&self, level: f64, sd: f64) -> (f64, f64) {
         let (apart, last) = (1usize << self.lowest, (1usize << (self.bits - self.lowest)) - 1);
-        // A code begins half a step below it. Steps beyond four deviations are passed or not reached.
+        // A code begins half a step below its value. Steps beyond four deviations are passed or not reached.
         let edge = |number: usize| (number * apart) as f64 - 0.5;
         let place = |at: f64| (((at + 0.5) / apart as f64).max(0.0) as usize).min(last);
         let (from, to) = (place(level - 4.0 * sd), place(level + 4.0 * sd));
@@ -94,28 +95,28 @@ impl Steps {
     }
 }
 
-/// Bits whose steps noise of their weight smooths to a few waves.
+/// Number of bits whose steps noise of their weight smooths to a few waves.
 const FINE: usize = 3;
-/// Of the waves of the slowest of them so many are left: of the next, exp(-2 pi^2 81 / 64) = 1e-11.
+/// Number of waves of the slowest of them that are kept; of the next, exp(-2 pi^2 81 / 64) = 1e-11 is left.
 const WAVES: usize = 7;
 
-/// The same for noise of at least the weight of a bit: what lies below averages out, the bits next to it are waves of the level, and those
-/// above are steps.
+/// Mean and slope for noise of at least the weight of a bit: lower bits average out, the bits next to it are
+/// waves of the level, and higher bits are steps.
 struct Smooth {
     /// Weight of the lowest bit that counts, DN.
     apart: f64,
     full_scale_dn: f64,
-    /// Half of the errors of the bits below: each is set half of the time.
+    /// Half of the errors of the lower bits: each is set half of the time.
     below: f64,
     /// Errors of the bits that are waves.
     fine: [f64; FINE],
     above: Option<Steps>,
-    /// All that are not below.
+    /// Steps of all bits that are not lower.
     all: Steps,
 }
 
 impl Smooth {
-    /// Where the bits below one average out.
+    /// Builds the steps and waves for bits below `lowest` that average out.
     fn new(mut errors: [f64; BITS], lowest: usize, bits: usize) -> Self {
         let below = 0.5 * errors[..lowest].iter().sum::<f64>();
         errors[..lowest].fill(0.0);
@@ -126,12 +127,13 @@ impl Smooth {
         Self { apart: weight(lowest), full_scale_dn: weight(bits) - 1.0, below, fine, above, all }
     }
 
-    /// How much of each wave noise leaves. A bit of the weight w is 1 in the second half of every 2 w: 1/2 less the sum over odd k of
-    /// 2 / (pi k) sin(2 pi k x / 2 w), of which noise leaves exp(-2 pi^2 k^2 sd^2 / (2 w)^2).
+    /// Returns the size of each wave that noise leaves. A bit of the weight w is 1 in the second half of
+    /// every 2 w: 1/2 less the sum over odd k of 2 / (pi k) sin(2 pi k x / 2 w), of which noise leaves exp(-2
+    /// pi^2 k^2 sd^2 / (2 w)^2).
     fn waves(&self, sd: f64) -> [f64; WAVES] {
         let turns = sd / (8.0 * self.apart);
         let left = libm::exp(-2.0 * (std::f64::consts::PI * turns).powi(2));
-        // To the powers m^2, each from the one before.
+        // Powers m^2, each from the one before.
         let (mut power, mut next) = (1.0, left);
         std::array::from_fn(|i| {
             power *= next;
@@ -143,7 +145,8 @@ impl Smooth {
         })
     }
 
-    /// Mean over normal noise about a level, DN, and its slope with the level; `waves`: of this noise.
+    /// Returns the mean over normal noise about a level, DN, and its slope with the level; `waves` are those
+    /// of this noise.
     fn over(&self, level: f64, sd: f64, waves: &[f64; WAVES]) -> (f64, f64) {
         if sd < self.apart || level < 5.0 * sd || level > self.full_scale_dn - 5.0 * sd {
             let (mean, slope) = self.all.over(level, sd);
@@ -263,14 +266,14 @@ impl Effect for AdcNonlinearity {
         let bits = depth(c.full_scale_dn);
         let wrong = errors(p, bits);
         out.bit_errors_dn.iter_mut().zip(wrong).for_each(|(sum, e)| *sum += e);
-        // Where the noise covers few codes their widths are in each pixel's variance.
+        // If the noise covers few codes, their widths show in each pixel's variance.
         let low = EACH.min(bits);
         let widths: f64 = wrong[..low].iter().map(|d| d * d).sum();
         for s in &mut out.sets {
             s.unsure = libm::hypot(s.unsure, 0.5 * widths * s.covariance(0, 0));
         }
-        // A code comes out too small by what its voltage is too large by: the mean of that over the samples; its slope multiplies their
-        // noise. Bits whose steps the samples cover many times average out.
+        // A code is too small by the excess of its voltage: by its mean over the samples. The slope of the
+        // excess multiplies their noise. Bits whose steps the samples cover many times average out.
         if wrong.iter().all(|e| *e == 0.0) {
             return;
         }
@@ -298,14 +301,14 @@ impl Effect for AdcNonlinearity {
         }
     }
 
-    /// The code whose voltage is the nearest below half a step, as a search by bits finds it.
+    /// Converts by a search by bits: the code whose voltage is the nearest below the value plus half a step.
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let offset = d.offset_dn;
         let bits = depth(d.full_scale_dn);
         let wrong = errors(p, bits);
         let weight: Vec<f64> = (0..bits).map(|b| (1u32 << b) as f64 + wrong[b]).collect();
         d.image.mapv_inplace(|v| {
-            // Half a step above every code's own voltage the next begins.
+            // The next code begins half a step above every code's own voltage.
             let mut left = v + offset + 0.5;
             let mut code = 0.0;
             for b in (0..bits).rev() {
@@ -323,7 +326,8 @@ impl Effect for AdcNonlinearity {
 mod tests {
     use super::*;
 
-    /// Against the sum over all steps, whose noise ends at four deviations: levels all over the range, noise between two weights.
+    /// Compared with the sum over all steps, whose noise ends at four deviations: levels all over the range,
+    /// noise between two weights.
     #[test]
     fn waves_and_steps_are_all_steps() {
         let mut p = vec![0.0; 1 + 2 * EACH];

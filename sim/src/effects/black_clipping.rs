@@ -1,4 +1,4 @@
-//! Black clipping: what lies below a level is cut off.
+//! Black clipping: values below a level are cut off.
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::clipping::clipped;
@@ -7,7 +7,7 @@ use crate::predict::NORMAL;
 /// max(v, level), counted from the black level; or code 0, where the black level is too low.
 pub struct BlackClipping;
 
-/// Places of the parameters.
+/// Indexes of the parameters.
 const LEVEL: usize = 0;
 const AT: usize = 1;
 
@@ -57,7 +57,7 @@ impl Effect for BlackClipping {
         is_at_code_0(p).then_some("at code 0: the black level is too low for the noise of darks")
     }
 
-    /// Within the dark noise as it is measured: a clipped half has 0.58 of the deviation.
+    /// Starts within the measured dark noise: a clipped half has 0.58 of the deviation.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         [-1.0, -0.3 * seen.dark_noise_dn, -1.5 * seen.dark_noise_dn, 0.5 * seen.dark_noise_dn]
             .map(|v| vec![v, 0.0])
@@ -66,8 +66,9 @@ impl Effect for BlackClipping {
             .collect()
     }
 
-    /// Darks that go on below the level are not cut off there, and those of which fewer than one sample in
-    /// two hundred lies near code 0 not at code 0: to within rounding and the error of the black level.
+    /// Darks that extend below the level are not cut off there. Darks with fewer than one sample in two
+    /// hundred near code 0 are not cut off at code 0. Both to within rounding and the error of the black
+    /// level.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         if is_at_code_0(p) {
             return seen.darkest_code.is_some_and(|code| code > 1.0);
@@ -84,7 +85,8 @@ impl Effect for BlackClipping {
         vec![-8.0 / (1.0 + 15.0 * by), values[AT]]
     }
 
-    /// Anything between two edges of codes: the deviation of a number that is anywhere within one step.
+    /// Any level between two edges of codes gives the same codes: the deviation of a uniform number within
+    /// one step.
     fn resolution(&self, _: usize, _: &[f64], _: &Seen) -> f64 {
         1.0 / libm::sqrt(12.0)
     }
@@ -110,7 +112,7 @@ impl Effect for BlackClipping {
         out.floor_dn = out.floor_dn.max(p[LEVEL]);
         let noise: Vec<f64> = out.sets.iter().map(|s| s.covariance(0, 0)).collect();
         let limited = |set: usize, level: f64| {
-            // Clipped from below: upside down.
+            // Clipped from below: mirrored.
             let places = c.sets.get(set).map_or(NORMAL, |s| s.places).map(|x| -x);
             let spread = c.sets.get(set).map_or(0.0, |s| s.spread_dn);
             clipped(-level, spread, &places, noise.get(set).copied().unwrap_or(0.0), -p[LEVEL])
@@ -127,7 +129,7 @@ impl Effect for BlackClipping {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        // Code 0 cuts by itself.
+        // Conversion itself cuts at code 0.
         if !is_at_code_0(p) {
             d.image.mapv_inplace(|v| v.max(p[LEVEL]));
         }

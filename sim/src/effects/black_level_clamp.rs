@@ -1,18 +1,19 @@
-//! Black-level clamp: the camera takes the dark charge of covered pixels off.
+//! Black-level clamp: the camera subtracts the dark charge of covered pixels.
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::rng::PixelRng;
 
-/// The mean dark charge is taken off the black level, its shot noise stays.
+/// The mean dark charge is subtracted from the black level; its shot noise stays.
 pub struct BlackLevelClamp;
 
-/// Share of the dark charge below which what is taken off is none of a clamp (a named choice): covered pixels have
-/// a dark current of the order of that of the others.
+/// Minimum share of the dark charge that a clamp subtracts (a named choice): covered pixels have a dark
+/// current of the order of that of the others.
 const LEAST_SHARE: f64 = 0.1;
-/// Standard errors within which it may be more.
+/// Tolerance of the subtracted charge, in standard errors.
 const SURE: f64 = 2.0;
 
-/// A Poisson number: by the product of uniform numbers (Knuth 1969, 3.4.1), and normal where there are many.
+/// Draws a Poisson number by the product of uniform numbers (Knuth 1969, 3.4.1), or as a normal number at
+/// large means.
 fn poisson(mean: f64, random: &mut PixelRng) -> f64 {
     if mean > 40.0 {
         return (mean + mean.sqrt() * random.normal()).round().max(0.0);
@@ -49,7 +50,7 @@ impl Effect for BlackLevelClamp {
         }]
     }
 
-    /// Darks that are cut off at code 0 have neither the mean nor the noise of their charge.
+    /// Darks cut off at code 0 have neither the mean nor the noise of their charge.
     fn is_another(&self, _: &[f64], seen: &Seen) -> bool {
         seen.darkest_code.is_some_and(|code| code <= 1.0)
     }
@@ -107,7 +108,7 @@ impl Effect for BlackLevelClamp {
 mod tests {
     use super::*;
 
-    /// A clamp takes a tenth of the dark charge off at least, within two standard errors.
+    /// A clamp subtracts at least a tenth of the dark charge, within two standard errors.
     #[test]
     fn a_small_part_of_the_dark_charge_is_no_clamp() {
         let of = |taken: f64, std_err: f64, left: f64| {
@@ -118,7 +119,7 @@ mod tests {
         assert!(!of(343.0, 41.0, 290.0) && !of(0.2, 0.02, -0.1) && !of(5.0, 1.0, 0.0));
         // Too few frames to tell.
         assert!(!of(3.0, 6.0, 43.0));
-        // Darks that are cut off at code 0 tell nothing of it.
+        // Darks cut off at code 0 tell nothing of a clamp.
         let cut = Seen { darkest_code: Some(0.0), dark_e_per_s: 5.0, ..Seen::default() };
         assert!(
             BlackLevelClamp.is_another(&[5.0], &cut) && !BlackLevelClamp.is_another(&[5.0], &Seen::default())

@@ -27,7 +27,7 @@ impl Effect for Blooming {
         }]
     }
 
-    /// Near the brightest level.
+    /// Returns starts near the brightest level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         seen.near_peak()
     }
@@ -57,9 +57,9 @@ impl Effect for Blooming {
         }
     }
 
-    /// On a flat charge stays in its column until all of it is full: the mean goes on to the well itself. Of what is over, half goes
-    /// to either neighbour, which then varies with it; with e what is over and m what stays, the variance is var m + var e / 2 and the
-    /// covariance with the neighbour cov(m, e).
+    /// On a flat, charge stays in its column until all of it is full: the mean rises to the well itself. Half
+    /// of the excess goes to either neighbour, which then varies with it. With e the excess and m the charge
+    /// that stays, the variance is var m + var e / 2 and the covariance with the neighbour cov(m, e).
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let shot: Vec<f64> = out.sets.iter().map(SetPrediction::shot_over_signal).collect();
         let limited = |set: usize, signal: f64, part: f64, noise: f64| {
@@ -77,9 +77,9 @@ impl Effect for Blooming {
             let before = s.shot.lag(0, 0).max(1e-9);
             let left = limited(i, signal, 1.0, 1.0);
             let column = limited(i, signal, 0.5, 0.125);
-            // Where neighbours are full as well it goes on until none of it is left to see.
+            // If neighbours are full as well, the excess goes on until it is no longer seen.
             let room = 1.0 - left.above;
-            // Nor is there any in columns that are full.
+            // Columns that are full show none of it either.
             let open = 1.0 - column.above;
             let neighbour = 0.5 * (before - left.variance - left.lost_variance).max(0.0) * room * open;
             let own = (left.variance + 0.5 * left.lost_variance * room * room) * open;
@@ -91,8 +91,8 @@ impl Effect for Blooming {
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
             s.shot.shape(|ky, _| less + 2.0 * neighbour / before * libm::cos(ky));
             s.cut_light(column.above);
-            // How much of it finds room depends on where bright and dark pixels lie in their column: somewhere between none of it, and all
-            // as long as the column has room.
+            // The part of the excess that finds room depends on the order of bright and dark pixels in their
+            // column: between none of it, and all as long as the column has room.
             let (none, all) = (left.mean, limited(i, signal, 0.0, 0.0).mean);
             s.unsure_mean = libm::hypot(s.unsure_mean, 0.25 * (all - none).abs());
             s.signal = column.mean;
@@ -103,7 +103,7 @@ impl Effect for Blooming {
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let rows = d.image.nrows();
         for mut column in d.image.columns_mut() {
-            // Half of what is over goes each way, fills pixel after pixel, and is lost at the ends.
+            // Half of the excess goes each way, fills pixel after pixel, and is lost at the ends.
             let over: Vec<f64> = column.iter().map(|q| 0.5 * (q - p[0]).max(0.0)).collect();
             column.mapv_inplace(|q| q.min(p[0]));
             let mut fill = |rows: &mut dyn Iterator<Item = usize>| {

@@ -9,12 +9,12 @@ use crate::predict::{HALF, angle};
 /// Flow of arriving charge along the gradient of the charge so far.
 pub struct BrighterFatter;
 
-/// Steps in which the charge of a frame is drawn.
+/// Number of steps in which the charge of a frame is drawn.
 const STEPS: usize = 8;
 
 /// Ratio of the two axes that no sensor reaches (a named choice: CCDs show up to three).
 const ONE_SIDED: f64 = 4.0;
-/// Standard errors within which an axis may have more or less.
+/// Tolerance of the ratio of the axes, in standard errors of each.
 const SURE: f64 = 2.0;
 
 impl Effect for BrighterFatter {
@@ -52,8 +52,8 @@ impl Effect for BrighterFatter {
         Needs::Variances
     }
 
-    /// Alike along both axes, and mostly along one.
-    /// Two levels of light at least tell growth with the square of the level.
+    /// Returns starts alike along both axes, and mostly along one. At least two levels of light are needed to
+    /// see growth with the square of the level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         if seen.lit_levels < 2 {
             return Vec::new();
@@ -65,7 +65,7 @@ impl Effect for BrighterFatter {
         let name = "a_vertical_per_e + a_horizontal_per_e";
         let sum = p[0] + p[1];
         // The variance is mu (1 - 2 s mu + (2/3) r (2 s mu)^2) to second order, s the sum and r between 1
-        // (far neighbours too) and 1.5 (one axis alone). Any r between them, where two axes alike have 1.25,
+        // (far neighbours too) and 1.5 (one axis alone); two equal axes have 1.25. A uniform r between them
         // has the deviation 0.5 / root 12: s is off by 0.2 s^2 mu.
         Some(Together {
             name,
@@ -123,7 +123,7 @@ impl Effect for BrighterFatter {
         }
     }
 
-    /// The charge of the frame arrives in steps; in each, what is there already steers it.
+    /// Draws the charge of the frame in steps; in each, the charge present deflects the arriving charge.
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let n = STEPS as f64;
         let columns = d.image.ncols();
@@ -142,7 +142,8 @@ impl Effect for BrighterFatter {
             let side = |dy, dx| shifted(&filled, dy, dx);
             let push = (side(1, 0) + side(-1, 0) - &filled * 2.0) * p[0]
                 + (side(0, 1) + side(0, -1) - &filled * 2.0) * p[1];
-            // Half of the step's own charge is there on average while it arrives: one half step more on all.
+            // On average half of the step's own charge is present while it arrives: one half step more on
+            // all.
             filled = filled + &part + &whole * (1.0 / n) * push * (n / (n - 1.0));
         }
         d.image = filled;

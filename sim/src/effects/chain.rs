@@ -1,4 +1,5 @@
-//! The chain of a model, kept step by step: models that differ late in it are predicted from where they differ.
+//! Chain of a model, kept step by step: models that differ late in it are predicted from the first difference
+//! on.
 
 use super::{Effect, Stage};
 use crate::predict::{BaseParameters, Campaign, Prediction, Spectrum};
@@ -8,7 +9,7 @@ use crate::predict::{BaseParameters, Campaign, Prediction, Spectrum};
 enum Step<'e> {
     /// An effect with its values.
     Effect(&'e dyn Effect, &'e [f64]),
-    /// The charge of light and dark current is counted.
+    /// Shot noise of the charge of light and dark current.
     Shot,
     /// Read noise is added.
     Read,
@@ -16,7 +17,7 @@ enum Step<'e> {
     Amplify,
     /// The converter.
     Convert,
-    /// Firmware hands on whole codes.
+    /// Firmware outputs whole codes.
     Codes,
 }
 
@@ -24,7 +25,7 @@ impl Step<'_> {
     fn is(&self, other: &Step<'_>) -> bool {
         match (self, other) {
             (Step::Effect(a, p), Step::Effect(b, q)) => {
-                // Effects without fields may share an address, and a user's own share an identifier.
+                // Effects without fields may share an address, and users' effects an identifier.
                 std::ptr::addr_eq(*a, *b)
                     && a.id() == b.id()
                     && p.len() == q.len()
@@ -38,8 +39,8 @@ impl Step<'_> {
         match *self {
             Step::Effect(effect, p) => effect.predict(p, campaign, out),
             Step::Shot => {
-                // A fitted dark charge may be negative within its error. Its noise continues linearly, so that the
-                // error propagates, down to minus half of the read-noise variance.
+                // A fitted dark charge may be negative within its error. Its noise continues linearly, so
+                // that the error propagates, down to minus half of the read-noise variance.
                 let least = -0.5 * out.base.read_noise_e * out.base.read_noise_e;
                 for s in &mut out.sets {
                     s.shot = Spectrum::white(s.signal.max(least.min(0.0)));
@@ -60,7 +61,7 @@ impl Step<'_> {
     }
 }
 
-/// The steps of a model, in the order in which light travels.
+/// Returns the steps of a model, in the order in which light travels.
 fn steps<'e>(effects: &[(&'e dyn Effect, &'e [f64])]) -> Vec<Step<'e>> {
     let mut order: Vec<_> = effects.to_vec();
     order.sort_by_key(|(e, p)| e.stage_with(p));
@@ -80,22 +81,22 @@ fn steps<'e>(effects: &[(&'e dyn Effect, &'e [f64])]) -> Vec<Step<'e>> {
     out
 }
 
-/// Counts codes from 0.
+/// Adds the offset, so that frame means count from code 0.
 fn with_offset(mut out: Prediction) -> Prediction {
     let offset_dn = out.base.offset_dn;
     out.frame_signal.iter_mut().for_each(|m| *m += offset_dn);
     out
 }
 
-/// Expected statistics of a campaign under the paper's model and some effects, each with its parameters, in the
-/// order of the chain.
+/// Predicts the statistics of a campaign under the paper's model and some effects, each with its parameters,
+/// in the order of the chain.
 pub fn predict(campaign: &Campaign, base: &BaseParameters, effects: &[(&dyn Effect, &[f64])]) -> Prediction {
     let mut out = Prediction::begin(campaign, base);
     steps(effects).iter().for_each(|step| step.run(campaign, &mut out));
     with_offset(out)
 }
 
-/// A model's prediction with what is expected before each step of its chain.
+/// Prediction of a model, with the prediction before each step of its chain.
 pub struct Chain<'e> {
     campaign: &'e Campaign,
     steps: Vec<Step<'e>>,
@@ -121,7 +122,7 @@ impl<'e> Chain<'e> {
         Self { campaign, steps, before, last: with_offset(last) }
     }
 
-    /// The model's own prediction.
+    /// Returns the model's own prediction.
     pub fn prediction(&self) -> &Prediction {
         &self.last
     }
@@ -196,8 +197,8 @@ mod tests {
         }
     }
 
-    /// Predictions from the first differing step equal full predictions to the last bit: for one more effect, one
-    /// less, other values and another base.
+    /// Predictions from the first differing step equal full predictions to the last bit: for one more effect,
+    /// one less, other values and another base.
     #[test]
     fn a_chain_goes_on_from_where_it_differs() {
         let (campaign, base) = (campaign(), base());

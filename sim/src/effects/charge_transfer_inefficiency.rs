@@ -2,17 +2,18 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// A share per transfer is deferred to the pixel behind, along columns (towards row 0) and along rows (towards column 0); below nothing
-/// towards the last row and the last column. Traps that are full hold no more.
+/// A share per transfer is deferred to the pixel behind, along columns (towards row 0) and along rows
+/// (towards column 0). Negative values transfer towards the last row and the last column. Full traps hold no
+/// more.
 pub struct ChargeTransferInefficiency;
 
-/// Charge deferred after n transfers, and how it grows with the charge.
+/// Returns the charge deferred after n transfers, and its derivative with respect to the charge.
 fn deferred(p: &[f64], per_transfer: f64, n: f64, charge: f64) -> (f64, f64) {
     let w = (per_transfer.abs() * n).min(0.5);
     if p[0] < 0.5 {
         return (w * charge, w);
     }
-    // Traps that fill: a share at little charge, no more than so much at much.
+    // Traps fill: a constant share at little charge, a constant amount at much.
     let fill = 1.0 + charge.max(0.0) / p[3].max(1e-9);
     (w * charge / fill, w / (fill * fill))
 }
@@ -109,7 +110,7 @@ impl Effect for ChargeTransferInefficiency {
                 let h = |w: f64, k: f64| (1.0 - w) * (1.0 - w) + 2.0 * w * (1.0 - w) * libm::cos(k) + w * w;
                 h(down, ky) * h(across, kx)
             });
-            // Of w (1 - w) between both ends.
+            // Difference of w (1 - w) between both ends.
             let growth = |e: f64, n: f64| (share(e, n) * (1.0 - share(e, n))).copysign(e);
             let more = (growth(p[2], far.1), growth(p[1], far.0));
             s.growth = (s.growth.0 + more.0, s.growth.1 + more.1);

@@ -2,29 +2,29 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// Steps of codes from which bits are cut.
+/// Steps of codes with truncated bits.
 const STEPS: [f64; 6] = [2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
 
 /// Index of `zero_dn`.
 const ZERO: usize = 1;
 
-/// Deviation of a step from a whole number, relative, up to which it is one: 4.003 of a scale from 1023 to
-/// 4095 is three codes off at full scale, and none (a named choice).
+/// Maximum relative deviation of a step from a whole number at which it counts as whole: 4.003, of a scale
+/// from 1023 to 4095, is three codes off at full scale and does not count (a named choice).
 const WHOLE: f64 = 1e-4;
 
-/// The step, to whole codes where it is one.
+/// Rounds the step to whole codes if it is whole.
 fn to_whole(step: f64) -> f64 {
     if (step / step.round() - 1.0).abs() < WHOLE { step.round() } else { step }
 }
 
-/// Error of a mean, one standard deviation, DN, if each code of a line is rounded to a whole one and the
-/// levels cover so many steps: 1 / 12 of one code alone. A bound of the root mean squares over lines and
-/// levels, as is the next (`multiplied_codes_are_within_the_bounds`).
+/// Returns the error of a mean, one standard deviation, DN, if each code of a regular grid is rounded to a
+/// whole one and the levels cover `steps` steps; one code alone has 1 / root 12. Like the next function, it
+/// is a bound of the root mean squares over grids and levels (`multiplied_codes_are_within_the_bounds`).
 fn rounded_mean(steps: f64) -> f64 {
     1.0 / (libm::sqrt(12.0) * (1.0 + 0.45 * steps))
 }
 
-/// Error of a variance over the step, one standard deviation, DN, from the same rounding.
+/// Returns the error of a variance over the step, one standard deviation, DN, from the same rounding.
 fn rounded_variance(steps: f64) -> f64 {
     0.03 + 0.24 * libm::sqrt(steps)
 }
@@ -71,7 +71,7 @@ impl Effect for CoarseQuantization {
         (parameter == ZERO).then_some(0.0)
     }
 
-    /// The step that the codes show, and usual ones.
+    /// Returns starts from the step that the codes show, and from usual ones.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let line = (seen.stretch_dn > 1.0).then(|| vec![to_whole(seen.stretch_dn), seen.stretch_zero_dn]);
         let share = seen.code_step_dn.filter(|s| *s > 1.2 && line.is_none()).map(f64::round);

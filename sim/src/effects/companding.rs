@@ -8,7 +8,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 /// A square-root table, or coarser steps above a knee.
 pub struct Companding;
 
-/// Step of the codes at a level, DN.
+/// Returns the step of the codes at a level, DN.
 fn step(p: &[f64], level_dn: f64, full_scale_dn: f64) -> f64 {
     let step = if p[0] >= 0.5 {
         if level_dn > p[2] { p[3] } else { 1.0 }
@@ -18,7 +18,7 @@ fn step(p: &[f64], level_dn: f64, full_scale_dn: f64) -> f64 {
     step.max(1.0)
 }
 
-/// The code that comes back.
+/// Returns the code after compression and expansion.
 fn expanded(p: &[f64], code: f64, full_scale_dn: f64) -> f64 {
     if p[0] >= 0.5 {
         let over = code - p[2];
@@ -28,7 +28,8 @@ fn expanded(p: &[f64], code: f64, full_scale_dn: f64) -> f64 {
     full_scale_dn * (sent / p[1]) * (sent / p[1])
 }
 
-/// Share of a step that codes are apart over the whole range, from which on no knee is seen (a named choice).
+/// Share of a step by which codes are apart over the whole range, above which no knee is seen (a named
+/// choice).
 const EVERYWHERE: f64 = 0.97;
 
 impl Effect for Companding {
@@ -86,7 +87,7 @@ impl Effect for Companding {
         parameter == 0 || (parameter >= 2) == (p[0] >= 0.5)
     }
 
-    /// Codes on one line of steps, and steps that are coarse from the darkest level on, are those of a coarse
+    /// Codes on one regular grid, and steps that are coarse from the darkest level on, are those of a coarse
     /// converter: a table of roots and two slopes have steps of several sizes.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         seen.stretch_dn > 1.0 || p[0] >= 0.5 && seen.code_step_dn.is_some_and(|step| step > EVERYWHERE * p[3])
@@ -142,15 +143,16 @@ impl Effect for Companding {
                 let all = places.iter().zip(crate::predict::PLACES);
                 all.map(|(x, share)| share * of(step(p, level + total * x, full))).sum()
             };
-            // Whole codes came in: of them rounding to q leaves (q^2 - 1) / 12 where the noise covers a step.
+            // The input is whole codes: rounding to q adds (q^2 - 1) / 12 if the noise covers a step.
             let here = step(p, level, full);
             let wide = s.covariance(0, 0) / (here * here);
             let added = over(&|q| (q * q - 1.0) / 12.0);
             s.read.add_white(added.max(0.0));
             if p[0] < 0.5 && here > 1.001 {
-                // A root's squares are rounded to whole codes, each by its own part of one, and whole codes fall between the table's steps
-                // by a pattern of their own: steps of few codes do not average out. Bounds of the root mean squares over tables and
-                // levels that tests/outside/companding.py prints.
+                // The squares of the roots are rounded to whole codes, each by its own part of one, and whole
+                // codes fall between the table's steps in a pattern of their own: steps of few codes do not
+                // average out. Bounds of the root mean squares over tables and levels that
+                // tests/outside/companding.py prints.
                 let r = libm::sqrt(wide.max(0.0));
                 let (square, variance) = (here * here, s.covariance(0, 0));
                 let of_variance = 0.3 / here;
@@ -162,14 +164,15 @@ impl Effect for Companding {
                 s.unsure_fourth = libm::hypot(s.unsure_fourth, fourth * variance * variance);
             }
             if p[0] >= 0.5 {
-                // Half a step above a code goes up: of whole codes in an even step that is half a code on average, in an odd one nothing.
+                // Half a step above a code is rounded up: whole codes move by half a code on average in an
+                // even step, by nothing in an odd one.
                 let above = over(&|q| f64::from(u8::from(q > 1.0)));
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.5 * above);
             }
             s.codes_used *= over(&|q| 1.0 / q);
             s.step_dn = s.step_dn.max(here);
-            // Noise narrower than half a step: what is left of it depends on where it lies, from pixel to pixel, and the spread of the levels
-            // has the steps in it.
+            // Noise narrower than half a step: its remainder depends on the place in the step, from pixel to
+            // pixel, and the spread of the levels includes the steps.
             let square = here * here;
             let turn = 2.0 * std::f64::consts::PI.powi(2);
             let spread = (spread * spread / square - 1.0 / 12.0).max(0.0);
@@ -178,8 +181,9 @@ impl Effect for Companding {
             s.unsure_mean = libm::hypot(s.unsure_mean, ripple);
             s.unsure_own = libm::hypot(s.unsure_own, square * left * (0.2 + 4.0 * wide));
             if here > 1.001 {
-                // A pixel at d steps from an edge has the variance p (1 - p), p = Phi(d / r), at most 1 / 4: its square is anything up to
-                // 1 / 16. Levels in the middle of a step pass an edge so seldom that moments over the variance have no bound.
+                // A pixel d steps from an edge has the variance p (1 - p), p = Phi(d / r), at most 1 / 4; its
+                // square is at most 1 / 16. Levels in the middle of a step pass an edge so seldom that
+                // moments over the variance have no bound.
                 let seldom = 0.5 / upper(0.5 / libm::sqrt(wide.max(0.0) + spread)).max(1e-6);
                 s.unsure = libm::hypot(s.unsure, square * square * left / 16.0 * seldom);
                 s.unsure_fourth = libm::hypot(s.unsure_fourth, square * square * left / 8.0 * seldom);

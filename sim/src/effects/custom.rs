@@ -10,15 +10,15 @@
 //! units = { k = "DN/s" }
 //! ```
 //!
-//! Formulas give the change of `mean` (DN), of `variance`, `row`, `column`, `common` (DN^2), of the gradient and
-//! the curvature of frames down the rows and across the columns (`gradient_y`, `gradient_x`, `curvature_y`,
-//! `curvature_x`, DN^2, mean over the pixels), of the covariance
-//! `cov_YX` of pixels Y rows and X columns apart (up to 3 of each; both diagonals alike), of `cov_1-1` (what the
-//! diagonal up to the right has beyond the other), and of `parity_01`, `parity_10` (what a neighbour covariance
-//! from odd columns, rows has more than from even ones). They are formulas of the parameters, of mu (mean above
-//! the black level, DN), noise (variance of a pixel without the effect, DN^2), exposure (s) and illumination
-//! (relative to the bench's unit). `mean` may also use time (s from the first frame) and odd (1 in every second
-//! frame, else 0); when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
+//! Formulas give the change of `mean` (DN), of `variance`, `row`, `column`, `common` (DN^2), of the gradient
+//! and the curvature of frames down the rows and across the columns (`gradient_y`, `gradient_x`,
+//! `curvature_y`, `curvature_x`, DN^2, mean over the pixels), of the covariance `cov_YX` of pixels Y rows and
+//! X columns apart (up to 3 of each; both diagonals alike), of `cov_1-1` (what the diagonal up to the right
+//! has beyond the other), and of `parity_01`, `parity_10` (what a neighbour covariance from odd columns, rows
+//! has more than from even ones). They are formulas of the parameters, of mu (mean above the black level,
+//! DN), noise (variance of a pixel without the effect, DN^2), exposure (s) and illumination (relative to the
+//! bench's unit). `mean` may also use time (s from the first frame) and odd (1 in every second frame, else
+//! 0); when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
 
 use super::own::page_of;
 use super::{Campaign, Drawing, Effect, OwnPage, Page, Parameter, Plain, Prediction, Stage};
@@ -49,15 +49,15 @@ const FIELD_TARGETS: [[&str; SHAPES]; 2] = [["gradient_y", "curvature_y"], ["gra
 /// Variables of a formula beside its parameters.
 const VARIABLES: [&str; 9] =
     ["mu", "exposure", "illumination", "row", "column", "parity", "time", "odd", "noise"];
-/// Places of the variables that differ from pixel to pixel.
+/// Indexes of the variables that differ from pixel to pixel.
 const OF_PIXELS: std::ops::Range<usize> = 3..6;
-/// Places of the variables that differ from frame to frame.
+/// Indexes of the variables that differ from frame to frame.
 const OF_FRAMES: std::ops::Range<usize> = 6..8;
 
 /// Values of all variables.
 type Variables = [f64; VARIABLES.len()];
 
-/// Rows and columns between the pixels whose covariance a target names.
+/// Returns the rows and columns between the pixels of a covariance target.
 fn lag(target: &str) -> Option<(usize, usize)> {
     let lag = target.strip_prefix("cov_")?;
     let digit = |c: u8| (b'0'..b'0' + LAGS as u8).contains(&c).then(|| usize::from(c - b'0'));
@@ -65,23 +65,23 @@ fn lag(target: &str) -> Option<(usize, usize)> {
     digit(y).zip(digit(x)).filter(|lag| *lag != (0, 0))
 }
 
-/// Names of all targets, in words.
+/// Lists the names of all targets in words.
 fn targets() -> String {
     format!("{} and covariances such as cov_01 (up to 3 rows and columns apart)", TARGETS.join(", "))
 }
 
-/// End of the range of a parameter without bounds.
+/// Bound of a parameter without bounds.
 pub const UNBOUNDED: f64 = 1e12;
 
-/// Characters of a formula. The parser takes time with their square: the longest allowed takes some
-/// milliseconds, 10^6 took minutes.
+/// Maximum number of characters of a formula. The parser's time grows with their square: the longest allowed
+/// takes some milliseconds, 10^6 took minutes.
 const MAX_FORMULA_CHARACTERS: usize = 10_000;
-/// Parentheses inside one another; each takes a step of the stack.
+/// Maximum depth of nested parentheses; each level takes a step of the stack.
 const MAX_FORMULA_DEPTH: usize = 200;
-/// Parameters of an effect of formulas. A fit of more has no use of them.
+/// Maximum number of parameters of an effect of formulas. A fit cannot use more.
 const MAX_PARAMETERS: usize = 1000;
 
-/// Refuses a formula that is longer or deeper than any that a person writes.
+/// Refuses a formula that is longer or deeper than any written by a person.
 fn must_be_short(text: &str) -> Result<(), String> {
     let characters = text.chars().count();
     if characters > MAX_FORMULA_CHARACTERS {
@@ -101,10 +101,10 @@ fn must_be_short(text: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// One formula, ready to be evaluated.
+/// Parsed formula.
 struct Formula {
     expression: FlatEx<f64>,
-    /// For each variable of the expression: a parameter's place, or that of a variable.
+    /// For each variable of the expression: index of a parameter (`Ok`) or of a variable (`Err`).
     places: Vec<Result<usize, usize>>,
 }
 
@@ -121,7 +121,8 @@ impl Formula {
         self.expression.eval(&values).ok().filter(|v| v.is_finite()).unwrap_or(0.0)
     }
 
-    /// Checks that it is a number at ordinary levels, exposures and lights; where not, at which.
+    /// Checks that the formula is a number at ordinary levels, exposures and lights; the error says where it
+    /// is not.
     fn sound(&self, p: &[f64]) -> Result<(), String> {
         let values = |v: &Variables| -> Vec<f64> {
             let of = |place: &Result<usize, usize>| match place {
@@ -145,7 +146,8 @@ impl Formula {
         self.places.contains(&Err(variable))
     }
 
-    /// For every pixel of an image: where it depends on the level alone, from a table over the levels.
+    /// Evaluates the formula for every pixel of an image; from a table over the levels if it depends on the
+    /// level alone.
     fn over(&self, p: &[f64], image: &ndarray::Array2<f64>, bare: &Variables) -> ndarray::Array2<f64> {
         let at = |level: f64, y: usize, x: usize| {
             let mut variables = *bare;
@@ -181,10 +183,10 @@ pub struct Custom {
     page: Page,
 }
 
-/// Description of an effect of formulas, as a model file has it.
+/// Description of an effect of formulas, as in a model file.
 #[derive(Debug, Clone, Copy)]
 pub struct Described<'a> {
-    /// Its name.
+    /// Name.
     pub name: &'a str,
     /// Formula for each target.
     pub formulas: &'a BTreeMap<String, String>,
@@ -194,31 +196,31 @@ pub struct Described<'a> {
     pub bounds: &'a BTreeMap<String, [f64; 2]>,
     /// Units of parameters.
     pub units: &'a BTreeMap<String, String>,
-    /// Page, where there is one.
+    /// Page, if there is one.
     pub page: Option<&'a OwnPage>,
 }
 
 impl Described<'_> {
-    /// Lowest and highest value of a parameter.
+    /// Returns the lowest and highest value of a parameter.
     pub fn bounds_of(&self, parameter: &str) -> [f64; 2] {
         self.bounds.get(parameter).copied().unwrap_or([-UNBOUNDED, UNBOUNDED])
     }
 
-    /// Checks formulas and bounds; nothing is kept.
+    /// Checks formulas and bounds; stores nothing.
     ///
     /// # Errors
     ///
-    /// Which formula or bound cannot be understood.
+    /// A formula or bound cannot be understood; the message names it.
     pub fn check(&self) -> Result<(), String> {
         parsed(self).map(drop)
     }
 }
 
-/// Makes an effect of formulas, one for each description. It is kept until the program ends.
+/// Creates an effect of formulas, one for each description. It is kept until the program ends.
 ///
 /// # Errors
 ///
-/// Which formula or bound cannot be understood.
+/// A formula or bound cannot be understood; the message names it.
 pub fn custom(described: Described<'_>) -> Result<&'static dyn Effect, String> {
     static KEPT: LazyLock<Mutex<HashMap<String, &'static Custom>>> = LazyLock::new(Mutex::default);
     let key = format!("{described:?}");
@@ -230,7 +232,7 @@ pub fn custom(described: Described<'_>) -> Result<&'static dyn Effect, String> {
     let keep = |text: &str| -> &'static str { Box::leak(text.to_string().into_boxed_str()) };
     let parameter = |(n, v): (&String, &f64)| {
         let [min, max] = described.bounds_of(n);
-        // "choice" has a meaning of its own: see Parameter::is_choice.
+        // "choice" is reserved: see Parameter::is_choice.
         let unit = described.units.get(n).map(String::as_str).filter(|u| *u != "choice").unwrap_or("1");
         Parameter {
             name: keep(n),
@@ -253,7 +255,7 @@ pub fn custom(described: Described<'_>) -> Result<&'static dyn Effect, String> {
     Ok(effect)
 }
 
-/// Formulas by their targets, checked.
+/// Parses and checks the formulas, by target.
 fn parsed(described: &Described<'_>) -> Result<BTreeMap<String, Formula>, String> {
     let Described { name, formulas, values, bounds, .. } = *described;
     if formulas.is_empty() {
@@ -375,9 +377,9 @@ impl Effect for Custom {
         }
     }
 
-    /// Covariances beside a variance are noise of their own, whose odd and even lines are alike; without one they
-    /// are what neighbours share of the noise that is there, to first order: up to a tenth of the variance. A
-    /// negative variance is predicted only.
+    /// Draws covariances beside a variance as noise of their own, with odd and even lines alike. Without a
+    /// variance they are what neighbours share of the existing noise, to first order: up to a tenth of the
+    /// variance. A negative variance is predicted only.
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let level = d.image.mean().unwrap_or(0.0);
         let odd = (d.frame % 2) as f64;
@@ -433,7 +435,7 @@ impl Effect for Custom {
 }
 
 impl Custom {
-    /// Entry of a model file.
+    /// Writes the entry of a model file.
     fn written_as(described: &Described<'_>) -> EffectValues {
         EffectValues {
             id: "custom".into(),
@@ -446,12 +448,12 @@ impl Custom {
         }
     }
 
-    /// Covariances that the formulas give, by rows and columns between the pixels, DN^2.
+    /// Returns the covariances of the formulas, by rows and columns between the pixels, DN^2.
     fn lags(&self, p: &[f64], variables: &Variables) -> Vec<((usize, usize), f64)> {
         self.formulas.iter().filter_map(|(target, f)| Some((lag(target)?, f.eval(p, variables)))).collect()
     }
 
-    /// Moves the mean of a set and its frames; the noise follows the slope, which may be another one in each
+    /// Moves the mean of a set and its frames. The noise follows the slope, which may differ from frame to
     /// frame.
     fn shift(
         &self,
@@ -492,17 +494,18 @@ impl Custom {
     }
 }
 
-/// Step of the level over which the slope of a formula is taken, as a share of it.
+/// Step of the level for the numerical slope of a formula, as a share of the level.
 const SLOPE_STEP: f64 = 1e-3;
 
-/// Power of a covariance at a lag, alike along both diagonals, at a spatial frequency (Wiener-Khinchin).
+/// Returns the power of a covariance at a lag, alike along both diagonals, at a spatial frequency
+/// (Wiener-Khinchin).
 fn power((y, x): (usize, usize), covariance: f64, ky: f64, kx: f64) -> f64 {
     let twice = |lag: usize| if lag == 0 { 1.0 } else { 2.0 };
     twice(y) * twice(x) * covariance * libm::cos(y as f64 * ky) * libm::cos(x as f64 * kx)
 }
 
-/// Gives an image of independent noise of this variance these covariances, to first order in them: each pixel
-/// gets a part of others. `parity`: what neighbours from odd columns and rows share beyond those from even ones.
+/// Gives independent noise of this variance these covariances, to first order: each pixel gets a part of
+/// others. `parity` is the covariance of neighbours from odd columns and rows beyond that from even ones.
 fn share(
     image: &mut ndarray::Array2<f64>,
     variance: f64,
@@ -517,7 +520,7 @@ fn share(
         for y in 0..rows.saturating_sub(dy) {
             for x in 0..columns {
                 let Some(other) = x.checked_add_signed(dx).filter(|x| *x < columns) else { continue };
-                // Both get half, so that the product of the two has all.
+                // Each pixel gets half, so that the product of the two has all of the covariance.
                 let half = 0.5 * of(y, x) / variance;
                 image[(y, x)] += half * apart[(y + dy, other)];
                 image[(y + dy, other)] += half * apart[(y, x)];
@@ -536,8 +539,8 @@ fn share(
     add(1, 0, &|y, _| parity[1] * sign(y));
 }
 
-/// Noise of this variance and these covariances, made of white noise by the filter whose power is theirs; where
-/// no noise has them the nearest that there is.
+/// Filters white noise to this variance and these covariances. If no noise has them, the result is the
+/// nearest that exists.
 fn correlated(
     white: &ndarray::Array2<f64>,
     variance: f64,
@@ -549,7 +552,7 @@ fn correlated(
         let lags: f64 = lags.iter().map(|(lag, c)| power(*lag, *c, ky, kx)).sum();
         (variance + lags + 2.0 * uphill * libm::cos(ky - kx)).max(0.0)
     };
-    // The filter's weights are the Fourier sum of the root of the power.
+    // Weights of the filter: the Fourier sum of the root of the power.
     const FINE: usize = 32;
     let angle = |i: usize| std::f64::consts::TAU * i as f64 / FINE as f64;
     let roots: Vec<f64> =
@@ -576,7 +579,7 @@ fn correlated(
 mod tests {
     use super::*;
 
-    /// One effect for each description, and none for a check.
+    /// One effect is kept for each description, and none for a check.
     #[test]
     fn a_description_is_kept_once() {
         let formulas = BTreeMap::from([("variance".to_string(), "k * mu".to_string())]);

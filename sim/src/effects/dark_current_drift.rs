@@ -6,7 +6,8 @@ use crate::drift;
 /// Dark charge per second times 1 + rate * time.
 pub struct DarkCurrentDrift;
 
-/// Spatial deviation of the dark charge over its mean, from the longest darks less the shortest; 0 where they do not tell.
+/// Returns the spatial deviation of the dark charge over its mean, from the longest darks less the shortest;
+/// 0 if they do not show it.
 fn dark_spread(c: &Campaign, dark_dn_per_s: f64) -> f64 {
     let darks = || c.sets.iter().filter(|s| s.light.is_none());
     let long = darks().max_by(|a, b| a.exposure_s.total_cmp(&b.exposure_s));
@@ -60,7 +61,7 @@ impl Effect for DarkCurrentDrift {
     }
 
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
-        // Some 0.3 DN of the long darks at the end, or a tenth of the noise.
+        // About 0.3 DN of the long darks at the end, or a tenth of the noise.
         let rel = (0.1 * plain.noise_e * plain.gain_dn_per_e).max(0.3)
             / (plain.long_dark_e * plain.gain_dn_per_e).max(0.1);
         Some(vec![0.0, rel.min(3.0) / (300.0 * plain.frame_s), 0.0, 60.0 * plain.frame_s])
@@ -94,7 +95,8 @@ impl Effect for DarkCurrentDrift {
             let frames = f64::max(frames, 1.0);
             let mean = sum / frames;
             s.signal += mean;
-            // Each pixel moves by its own dark current. How its spread is distributed, hot pixels above all, is not known.
+            // Each pixel moves by its own dark current. The distribution of its spread, above all of hot
+            // pixels, is unknown.
             let moved = (square / frames - mean * mean).max(0.0) * frames / (frames - 1.0).max(1.0);
             s.unsure_moving = s.unsure_moving.hypot(unequal * moved);
         }

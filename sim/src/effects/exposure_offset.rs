@@ -2,38 +2,37 @@
 
 use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// effective = commanded + t0, or a whole number of steps, for light.
+/// Effective exposure to light: commanded + t0, or a whole number of steps.
 pub struct ExposureOffset;
 
-/// Shapes of whole steps: the parameter `shape`, the part of a step that is added before the rest is cut off, and
-/// the name.
+/// Shapes of whole steps: value of the parameter `shape`, part of a step added before truncation, and name.
 const WHOLE: [(f64, f64, &str); 3] =
     [(1.0, 0.0, "cutting"), (2.0, 0.5, "rounding"), (3.0, 1.0, "rounding up")];
 
-/// Part of a step by which an exposure may lie on the wrong side of a whole number: rounding of what is stated
-/// (a named choice).
+/// Part of a step by which a stated exposure may miss a whole number, due to rounding (a named choice).
 const ROUNDING: f64 = 0.01;
 
-/// Part of a step that is added before the rest is cut off.
+/// Returns the part of a step added before truncation.
 fn added(shape: f64) -> f64 {
     let added = WHOLE.iter().find(|w| w.0 == shape).map_or(0.0, |w| w.1);
     if added < 1.0 { added + ROUNDING } else { added - ROUNDING }
 }
 
-/// Number of whole steps that a camera exposes for a commanded exposure: at least one. `shape` 1: cut to whole
-/// steps, 2: to the nearest, 3: up.
+/// Returns the number of whole steps that a camera exposes for a commanded exposure: at least one. `shape` 1:
+/// truncated to whole steps, 2: to the nearest, 3: up.
 pub fn whole_steps(shape: f64, step_s: f64, exposure_s: f64) -> f64 {
     (exposure_s / step_s + added(shape)).floor().max(1.0)
 }
 
-/// Shortest and longest step, s, with which an exposure has so many steps ([`whole_steps`]).
+/// Returns the shortest and longest step, s, with which an exposure has this number of steps
+/// ([`whole_steps`]).
 pub fn steps_of_a_number(shape: f64, number: f64, exposure_s: f64) -> (f64, f64) {
     let most = number - added(shape);
     let longest = if number > 1.0 && most > 0.0 { exposure_s / most } else { f64::INFINITY };
     (exposure_s / (number + 1.0 - added(shape)), longest)
 }
 
-/// Light for longer than commanded, s.
+/// Returns the time of light beyond the commanded exposure, s.
 fn longer_s(p: &[f64], exposure_s: f64) -> f64 {
     match p {
         [shape, _, step_s] if *shape >= 1.0 => {
@@ -110,15 +109,15 @@ impl Effect for ExposureOffset {
         (p[0] >= 1.0).then_some("exposures in whole steps")
     }
 
-    /// Constant times, and the steps that the levels of the flats follow.
+    /// Returns starts: constant times, and the steps that the levels of the flats follow.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let constant = self.parameters()[T0].starts.iter().map(|t0| vec![0.0, *t0, 0.0]);
         let steps = seen.exposure_steps.iter().flatten().map(|s| vec![s.shape, 0.0, s.step_s]);
         constant.chain(steps).collect()
     }
 
-    /// Every step between those at which an exposure has another number of steps fits as well: where the light is
-    /// not known either, no slope leads from one to the other.
+    /// Every step between two changes of an exposure's number of steps fits as well. If the light is not
+    /// known either, no slope leads from one to the other.
     fn is_whole(&self, parameter: usize) -> bool {
         parameter == STEP
     }

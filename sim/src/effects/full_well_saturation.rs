@@ -5,15 +5,15 @@ use crate::predict::{NORMAL, SetPrediction};
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// min(q, full well), or a knee from which on the well fills ever more slowly.
+/// Limit min(q, full well), or a knee above which the well fills ever more slowly.
 pub struct FullWellSaturation;
 
-/// Places of the parameters.
+/// Indexes of the parameters.
 const FULL: usize = 0;
 const SHAPE: usize = 1;
 const SOFTNESS: usize = 2;
 
-/// The limit of a well that fills slowly from a knee on; nothing where it is hard.
+/// Returns the limit of a well that fills slowly above a knee; `None` if it is hard.
 fn soft(p: &[f64]) -> Option<SoftLimit> {
     (p[SHAPE].round() as i32 == 1).then(|| SoftLimit { knee: p[FULL] * (1.0 - p[SOFTNESS]), limit: p[FULL] })
 }
@@ -69,7 +69,7 @@ impl Effect for FullWellSaturation {
         soft(p).map(|_| "a soft knee: the last part of the well fills ever more slowly")
     }
 
-    /// Near the brightest level.
+    /// Returns starts near the brightest level.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         if !seen.shows_a_curve() {
             return Vec::new();
@@ -108,7 +108,7 @@ impl Effect for FullWellSaturation {
     }
 
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
-        // Variance over mean of the charge that has come so far.
+        // Variance over mean of the charge at this stage.
         let shot: Vec<f64> = out.sets.iter().map(SetPrediction::shot_over_signal).collect();
         let limited = |set: usize, signal: f64| {
             let (spread, places) = c.sets.get(set).map_or((0.0, &NORMAL), |s| (s.spread, &s.places));
@@ -135,9 +135,10 @@ impl Effect for FullWellSaturation {
             }
             s.cut(less, &left);
             s.cut_shot(less, left.above);
-            // The pixels' places are a few shares: which of them lie above the knee is known roughly.
+            // The pixels' levels are known at a few places: it is only roughly known which of them lie above
+            // the knee.
             let rest = left.variance + read;
-            // Where nearly all are cut, what is left is of a few in the tails.
+            // If nearly all pixels are cut, the noise that is left is that of a few in the tails.
             let unknown = 0.1 + 0.9 * left.above.powi(4);
             s.unsure_var = libm::hypot(s.unsure_var, unknown * (1.0 - less) * left.variance);
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));

@@ -14,8 +14,8 @@ impl Effect for GainDrift {
         "gain-drift"
     }
 
-    /// Returns 2 ln 3: prior odds of 3 for a drift of the lamp (a named choice). Lamps drift by percents while
-    /// they warm up, amplifiers by some 1e-4 per kelvin.
+    /// Returns 2 ln 3: prior odds of 3 for a drift of the lamp (a named choice). Lamps drift by percents
+    /// while they warm up, amplifiers by some 1e-4 per kelvin.
     fn rarer(&self) -> f64 {
         2.2
     }

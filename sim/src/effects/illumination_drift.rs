@@ -7,8 +7,8 @@ use crate::drift;
 pub struct IlluminationDrift;
 
 const RATE: Parameter = drift::relative_rate("shapes 0 and 2: change of the light per second, relative");
-/// Excess at the start of the campaign: many times that at the first flat if the lamp is switched on after the
-/// darks.
+/// Excess at the start of the campaign: many times that at the first flat if the lamp is switched on after
+/// the darks.
 const EXCESS: Parameter = drift::relative_excess("shape 1: excess of the light at the start, relative", 5.0);
 
 impl Effect for IlluminationDrift {
@@ -61,13 +61,13 @@ impl Effect for IlluminationDrift {
         for (m, frame) in out.frame_signal.iter_mut().zip(&c.frames) {
             let Some(info) = c.sets.get(frame.set).filter(|s| s.light.is_some()) else { continue };
             let light = *m - out.base.dark_e_per_s * info.exposure_s;
-            // Light is never below none.
+            // Light is never negative.
             let more = drift::change(p, frame.time_s).max(-1.0) * light;
             *m += more;
             of_set[frame.set].0 += more;
             of_set[frame.set].1 += 1.0;
         }
-        // Shot noise follows the light; a gain that drifts moves it with its square.
+        // Shot noise follows the light; a gain that drifts changes it with its square.
         for (s, (sum, n)) in out.sets.iter_mut().zip(of_set).filter(|(_, (_, n))| *n > 0.0) {
             s.signal += sum / n;
         }

@@ -5,14 +5,14 @@ use super::{
     Stage, other_ripple, ripple_left, spread_of, takes,
 };
 
-/// Each frame's light times 1 + rel N(0, 1), or a lamp's ripple that exposures meet at any phase.
+/// Light of each frame times 1 + rel N(0, 1), or a lamp's ripple met by exposures at any phase.
 pub struct IlluminationFlicker;
 
-/// Places of the parameters.
+/// Indexes of the parameters.
 const REL: usize = 0;
 const RIPPLE_HZ: usize = 1;
 
-/// Standard deviation of a frame's light under this exposure, relative.
+/// Returns the relative standard deviation of a frame's light at this exposure.
 fn rel_at(p: &[f64], exposure_s: f64) -> f64 {
     p[REL] * ripple_left(p[RIPPLE_HZ], exposure_s).abs()
 }
@@ -65,7 +65,8 @@ impl Effect for IlluminationFlicker {
         (p[RIPPLE_HZ] > 0.0).then_some("the ripple of a lamp, which longer exposures average")
     }
 
-    /// Starts from the frequencies that the scatter under several exposures tells, and from those of the mains.
+    /// Starts from the frequencies that the scatter under several exposures tells, and from those of the
+    /// mains.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let several = seen.lit_s.0 < ONE_EXPOSURE * seen.lit_s.1;
         let told = seen.flicker_hz.into_iter().flatten().chain(MAINS_HZ).filter(|_| several);
@@ -145,8 +146,8 @@ mod tests {
     use super::super::FittingRipple;
     use super::*;
 
-    /// Frames at any phase of a ripple scatter as predicted: 4000 under one exposure, within five standard errors
-    /// of a sample variance of a sine (its fourth moment is 1.5 times the square of its second).
+    /// Frames at any phase of a ripple scatter as predicted: 4000 under one exposure, within five standard
+    /// errors of a sample variance of a sine (its fourth moment is 1.5 times the square of its second).
     #[test]
     fn frames_at_any_phase_scatter_as_predicted() {
         let (rate, frames, exposure_s, p) = (1e5, 4000u32, 0.004, [0.2, 100.0]);

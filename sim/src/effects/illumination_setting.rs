@@ -1,4 +1,4 @@
-//! Illumination setting: every set's light has an error of its own.
+//! Illumination setting: the light of every set has an error of its own.
 
 use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction, Stage, takes};
 
@@ -33,8 +33,8 @@ impl Effect for IlluminationSetting {
         true
     }
 
-    /// Errors of a lamp's setting are drawn anew each time, are as large at long exposures as at short ones, and
-    /// come in any order.
+    /// Errors of a lamp's setting are drawn anew each time, are as large at long exposures as at short ones,
+    /// and come in any order.
     fn told_by(&self) -> &'static [&'static str] {
         &[
             "light settings that come back",
@@ -69,7 +69,7 @@ impl Effect for IlluminationSetting {
     }
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
-        // A set is as long as its exposure, light and scene stay.
+        // A set lasts as long as its exposure, light and scene stay.
         let more = p[0] * d.random(self.id(), d.setting, 0).normal() * d.exposure_s;
         d.image.scaled_add(more, d.rate_e_per_s);
         d.image.mapv_inplace(|q| q.max(0.0));

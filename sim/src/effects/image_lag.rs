@@ -5,20 +5,20 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 use crate::predict::Before;
 use crate::rng::PixelRng;
 
-/// A share of a frame's charge is handed on to the next; of that, again a share, or all of it is read; or two kinds of traps let it go in
-/// times of their own.
+/// Charge carried from frame to frame: a share goes to the next frame, where all of it is read or the same
+/// share stays again; or two kinds of traps release it with their own time constants.
 pub struct ImageLag;
 
-/// How charge is held.
+/// Mechanism that holds charge.
 #[derive(Clone, Copy)]
 enum Held {
-    /// The next frame has all of it, or the same share of it stays again.
+    /// All of it is read with the next frame, or the same share of it stays again.
     Next { share: f64, again: bool },
-    /// Shares of the charge, and the times in which they are let go, s.
+    /// Shares of the charge, and the time constants of their release, s.
     Traps([(f64, f64); 2]),
 }
 
-/// Charge that is held from frame to frame.
+/// Charge held from frame to frame.
 type Store = [f64; 2];
 
 impl Held {
@@ -29,7 +29,7 @@ impl Held {
         }
     }
 
-    /// What is read of this charge so long after the frame before, and what is held after it.
+    /// Returns the charge read `after_s` after the previous frame, and the charge held after it.
     fn pass(self, charge: f64, store: Store, after_s: f64) -> (f64, Store) {
         match self {
             Self::Next { share, again: false } => ((1.0 - share) * charge + store[0], [share * charge, 0.0]),
@@ -71,7 +71,7 @@ impl Held {
         }
     }
 
-    /// What is held where frames of this charge went before, for long, in steps of this time.
+    /// Returns the charge held after many frames of this charge, one every `every_s`.
     fn settled(self, charge: f64, every_s: f64) -> Store {
         match self {
             Self::Next { share, again: false } => [share * charge, 0.0],
@@ -81,8 +81,8 @@ impl Held {
         }
     }
 
-    /// What becomes of shot noise: its variance, relative, and the correlations over 1, 2, ... frames. Charge of a frame comes out in
-    /// parts h0, h1, ... and the variance is the sum of their squares.
+    /// Returns the relative variance of shot noise, and its correlations over 1, 2, ... frames. Charge of a
+    /// frame is read in parts h0, h1, ...; the variance is the sum of their squares.
     fn noise(self, every_s: f64) -> (f64, Vec<f64>) {
         match self {
             Self::Next { share: f, again: false } => {
@@ -111,12 +111,12 @@ fn is_by_chance(p: &[f64]) -> bool {
     p[BY_CHANCE].round() as i32 == 1
 }
 
-/// Least variance of a binomial number that is drawn as a normal one (a named choice: its skewness is then
+/// Minimum variance of a binomial number that is drawn as a normal one (a named choice: its skewness is then
 /// below 0.15).
 const MIN_NORMAL_VARIANCE: f64 = 50.0;
 
-/// Binomial number: electrons that are held, each with this chance. A fraction of an electron is split in
-/// proportion.
+/// Draws the binomial number of electrons that are held, each with this chance. A fraction of an electron is
+/// split in proportion.
 fn binomial(electrons: f64, chance: f64, rng: &mut PixelRng) -> f64 {
     let (p, n) = (chance.clamp(0.0, 1.0), electrons.floor());
     if p > 0.5 {
@@ -141,10 +141,10 @@ fn binomial(electrons: f64, chance: f64, rng: &mut PixelRng) -> f64 {
     }
 }
 
-/// Least time constant of a trap, over the time from frame to frame: below it exp(-20) of the charge is left
-/// in the next frame.
+/// Minimum time constant of a trap, over the time from frame to frame: below it exp(-20) of the charge is
+/// left in the next frame.
 const MIN_TAU_FRAMES: f64 = 0.05;
-/// Part of what the other kind of traps holds below which a kind holds nothing (a named choice).
+/// Ratio of the charges of two kinds of traps below which the smaller kind holds nothing (a named choice).
 const NOTHING: f64 = 1e-3;
 
 impl Effect for ImageLag {
@@ -321,7 +321,7 @@ impl Effect for ImageLag {
                     }
                 }
             }
-            // Charge is let go until the frame ends.
+            // Charge is released until the frame ends.
             let end_s = frame.time_s + exposure_s;
             let after_s = last_s.map_or(c.frame_s, |last: f64| end_s - last);
             (*m, store) = held.pass(*m, store, after_s);

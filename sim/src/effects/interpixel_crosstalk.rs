@@ -6,7 +6,7 @@ use crate::predict::Filter;
 /// Each pixel gives a share to its neighbours.
 pub struct InterpixelCrosstalk;
 
-/// Shares that go to each neighbour in the row and to each in the column.
+/// Returns the shares that go to each neighbour in the row and to each in the column.
 fn shares(p: &[f64]) -> (f64, f64) {
     match p[1].round() as i32 {
         0 => (p[0], p[0]),
@@ -107,7 +107,7 @@ impl Effect for InterpixelCrosstalk {
             h * h
         };
         let filter = Filter::new(&h);
-        // Nothing but charge is there yet.
+        // At this stage there is only charge.
         out.sets.iter_mut().for_each(|s| s.filter(&filter));
     }
 

@@ -9,15 +9,15 @@ use crate::predict::Ripple;
 /// The rows of a frame share a light factor that changes down the image and from frame to frame.
 pub struct LightBanding;
 
-/// Correlation from row to row of the fastest wander. Rows are read some 10 us apart: light that forgets within six of them changes faster
-/// than lamps do.
+/// Minimum correlation of a wander from row to row. Rows are read some 10 us apart: light that decorrelates
+/// within six of them changes faster than lamps do.
 const SHORTEST: f64 = 0.85;
 
-/// Correlation of the first row with the last from which on a wander moves whole frames: 1/e, bands as tall as the
-/// frame (a named choice).
+/// Correlation of the first row with the last above which a wander moves whole frames: 1/e, bands as tall as
+/// the frame (a named choice).
 const WHOLE_FRAMES: f64 = 0.368;
 
-/// No lamp's light ripples slower: twice the frequency of the slowest supply, a railway's 16.7 Hz.
+/// Minimum ripple frequency of a lamp: twice the frequency of the slowest supply, a railway's 16.7 Hz.
 const SLOWEST_HZ: f64 = 33.0;
 /// Step between ripple frequencies that are tried, in turns within the longest exposure, and their number. A
 /// PWM lamp turns some twenty times within it.
@@ -91,7 +91,7 @@ impl Effect for LightBanding {
     }
 
     /// Starts from the peaks of the spectrum of the row means, then from fixed frequencies, each with the
-    /// ripples that the exposures tell. Where these tell none: with that of the mains, and with one ripple
+    /// ripples that the exposures tell. If they tell none: with the ripple of the mains, and with one ripple
     /// for each lobe of sinc(f T), since a fit does not cross from one lobe to the next.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let rows = seen.rows.max(2.0);
@@ -117,7 +117,7 @@ impl Effect for LightBanding {
         all
     }
 
-    /// What the rows of a frame share is flicker; what only rows side by side share is no lamp's.
+    /// Light shared by all rows of a frame is flicker; light shared by adjacent rows only is not a lamp's.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         if p[0] >= 0.5 {
             libm::pow(p[4], seen.rows) > WHOLE_FRAMES || p[4] < 1.001 * SHORTEST
@@ -128,7 +128,7 @@ impl Effect for LightBanding {
 
     fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
         let (shortest_s, longest_s) = seen.lit_s;
-        // Exposures that tell: the longest as long as half a ripple of a lamp, and one far shorter.
+        // Exposures that tell: the longest is at least half a ripple of a lamp, and one is far shorter.
         let tells = longest_s * SLOWEST_HZ > 0.5 && shortest_s < 0.5 * longest_s;
         let stays = p[0] < 0.5 && p[3] * longest_s < NO_TURN;
         (tells && stays).then_some(

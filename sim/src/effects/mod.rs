@@ -1,11 +1,11 @@
-//! Effects that the paper's model lacks. An effect is one file here and one line of `effects!` at the end.
+//! Effects missing from the paper's model. An effect is one file here and one line of `effects!` at the end.
 //!
-//! Each does two things that check each other: it draws (acts on a frame at its place in the chain) and it predicts (shifts
-//! the expected statistics of a campaign).
+//! Each effect does two things that check each other: it draws (acts on a frame at its stage of the chain)
+//! and it predicts (shifts the expected statistics of a campaign).
 
 use crate::predict::{Campaign, Prediction};
 
-/// Where in the chain an effect acts, in the order in which light travels.
+/// Stage of the chain at which an effect acts, in the order in which light travels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
     /// On the light, before charge is counted.
@@ -14,7 +14,7 @@ pub enum Stage {
     Charge,
     /// On the charge that the wells hold, once all of it has come.
     Well,
-    /// While the charge is moved.
+    /// On the charge held in the wells, after all of it is collected.
     Transfer,
     /// Noise added at read-out, before the amplifier.
     Read,
@@ -27,7 +27,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// In words.
+    /// Returns the name of the stage in words.
     pub fn words(self) -> &'static str {
         match self {
             Self::Light => "light",
@@ -45,9 +45,9 @@ impl Stage {
 /// A parameter of an effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Parameter {
-    /// Its name, with the unit in it where it has one.
+    /// Name, with the unit as a suffix if there is one.
     pub name: &'static str,
-    /// What it is, in a few words; of a choice what each value means.
+    /// Description in a few words; for a choice, the meaning of each value.
     pub meaning: &'static str,
     /// Unit; `1` for a ratio, `choice` for one of several forms.
     pub unit: &'static str,
@@ -55,12 +55,12 @@ pub struct Parameter {
     pub min: f64,
     /// Largest physical value.
     pub max: f64,
-    /// Where a search begins, in several sizes; each is tried. Nothing: a place that the campaign hints at ([`Effect::starts`]), and no
-    /// size.
+    /// Start values of a search, of several sizes; each is tried. Empty: the starts depend on the campaign
+    /// ([`Effect::starts`]), and the parameter is not a size.
     pub starts: &'static [f64],
 }
 
-/// What is needed to tell an effect from others, from little to much.
+/// Data needed to tell an effect from others, in increasing order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Needs {
     /// A table of means at known exposures.
@@ -73,21 +73,21 @@ pub enum Needs {
     Frames,
 }
 
-/// What a campaign shows before any fit: hints at where a search begins.
+/// Observations of a campaign before any fit: hints for the start values of a search.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Seen {
     /// Signal of the brightest frames, e.
     pub peak_e: f64,
-    /// The same, DN above zero.
+    /// Signal of the brightest frames, DN above zero.
     pub peak_dn: f64,
-    /// Highest code that many samples fill, DN above zero: parts of the field may be far brighter than its
+    /// Highest code reached by many samples, DN above zero; parts of the field may be far brighter than its
     /// mean.
     pub highest_dn: f64,
     /// Largest code, DN.
     pub full_scale_dn: f64,
-    /// From the first frame to the last, s.
+    /// Time from the first frame to the last, s.
     pub duration_s: f64,
-    /// Usual time from frame to frame, s.
+    /// Typical time from frame to frame, s.
     pub frame_s: f64,
     /// Shortest and longest exposure to light, s.
     pub lit_s: (f64, f64),
@@ -95,69 +95,72 @@ pub struct Seen {
     pub rows: f64,
     /// Columns.
     pub columns: f64,
-    /// Curve of the means over the light: true where three levels or more are measured and their light is known.
+    /// True if the mean is measured at three or more levels of known light.
     pub means: bool,
-    /// Levels of light whose noise is measured: a curve is drawn through three or more.
+    /// Number of light levels with measured noise; a curve needs three or more.
     pub lit_levels: usize,
-    /// Flat sets: what changes with time shows between two or more.
+    /// Number of flat sets; a change with time shows between two or more.
     pub flat_sets: usize,
-    /// True where covariances of neighbours are measured.
+    /// True if covariances of neighbours are measured.
     pub neighbours: bool,
     /// Noise of darks, DN.
     pub dark_noise_dn: f64,
-    /// Growth of the darks' mean with the exposure, e/s; 0 where the campaign does not tell it.
+    /// Growth of the darks' mean with the exposure, e/s; 0 if the campaign does not show it.
     pub dark_e_per_s: f64,
-    /// Correlation of the noise of successive frames in flats; `None` where it is nothing within its errors.
+    /// Correlation of the noise of successive frames in flats; `None` if it is zero within its error.
     pub successive: Option<f64>,
-    /// The strongest line in the spectrum of the noise in read-out order, cycles per pixel.
+    /// Strongest line in the noise spectrum in read-out order, cycles per pixel.
     pub line_cycles_per_px: Option<f64>,
-    /// The strongest frequency of stripes of columns that move from frame to frame, cycles per column.
+    /// Strongest frequency of column stripes that move from frame to frame, cycles per column.
     pub column_cycles: Option<f64>,
-    /// Frequencies at which row means of flats ripple, cycles per row, the strongest first.
+    /// Frequencies of the ripple in row means of flats, cycles per row, strongest first.
     pub row_cycles: [Option<f64>; 3],
-    /// Frequencies at which a lamp that makes these bands ripples, Hz, the likeliest first.
+    /// Lamp ripple frequencies that explain these bands, Hz, most likely first.
     pub ripple_hz: [Option<f64>; 3],
     /// Slowest and fastest ripple that fit these bands within three standard errors.
     pub ripples: Option<[FittingRipple; 2]>,
-    /// Frequencies at which a lamp ripples whose frames scatter like this, Hz, the likeliest first.
+    /// Lamp ripple frequencies that explain the scatter of the frames, Hz, most likely first.
     pub flicker_hz: [Option<f64>; 3],
     /// Slowest and fastest ripple that fit this scatter within three standard errors.
     pub flickers: Option<[FittingRipple; 2]>,
     /// Steps of the exposure that the levels of the flats follow, the best of each shape.
     pub exposure_steps: [Option<ExposureStep>; 3],
-    /// Codes for each one that occurs, about the levels.
+    /// Number of codes per code that occurs, around the levels.
     pub code_step_dn: Option<f64>,
-    /// Distance of the codes that occur, where all lie on one line of steps; 1 where they do not.
+    /// Distance of the codes that occur if all lie on one regular grid, DN; else 1.
     pub stretch_dn: f64,
-    /// A code on that line, DN.
+    /// A code on that grid, DN.
     pub stretch_zero_dn: f64,
-    /// Covariance of the pixels' variances between short darks and its error, DN^4: what stays with its pixels.
+    /// Covariance of the pixels' variances between short darks, and its standard error, DN^4: excess noise
+    /// that stays with its pixels.
     pub steady_dn4: Option<(f64, f64)>,
-    /// The same of pixels two columns or two rows apart, DN^4, whichever is surer: noisy pixels that are parts of the sensor.
+    /// Covariance of the variances of pixels two columns or two rows apart, whichever is more significant,
+    /// and its standard error, DN^4: noisy pixels that are parts of the sensor.
     pub together_dn4: Option<(f64, f64)>,
-    /// Code below which one in two hundred samples of the darks lies, from the black level, DN.
+    /// Quantile 1/200 of the samples of the darks, from the black level, DN.
     pub darkest_dn: Option<f64>,
-    /// Code, as it stands in the files, below which one in two hundred samples of the darks lies, DN.
+    /// Quantile 1/200 of the samples of the darks, as a code of the files, DN.
     pub darkest_code: Option<f64>,
 }
 
-/// Part of a lamp ripple's amplitude that an exposure leaves, with its sign: sinc(f T), since an exposure is a
-/// running mean (Bracewell 2000, The Fourier Transform and Its Applications, ch. 4).
+/// Returns the share of a lamp ripple's amplitude that remains after an exposure, with its sign: sinc(f T),
+/// since an exposure is a running mean (Bracewell 2000, The Fourier Transform and Its Applications, ch. 4).
 pub fn ripple_left(ripple_hz: f64, exposure_s: f64) -> f64 {
     let x = std::f64::consts::PI * ripple_hz * exposure_s;
     if x < 1e-9 { 1.0 } else { libm::sin(x) / x }
 }
 
-/// Lamps on the mains ripple at twice its frequency.
+/// Ripple frequencies of lamps on the mains: twice the mains frequency.
 const MAINS_HZ: [f64; 2] = [100.0, 120.0];
-/// A ripple that turns by less within the longest exposure does not fade with it: 2 in 100 of its strength.
+/// Turns of a ripple within the longest exposure below which it does not fade with the exposure: it loses 2
+/// in 100 of its strength.
 const NO_TURN: f64 = 0.1;
-/// Smallest ratio of the shortest exposure to the longest at which all count as one (a named choice).
+/// Minimum ratio of the shortest exposure to the longest at which all count as one (a named choice).
 const ONE_EXPOSURE: f64 = 0.9;
-/// Largest ratio of the amplitudes that fit at which the campaign tells the lamp's (a named choice).
+/// Maximum ratio of the fitting amplitudes at which the lamp's amplitude counts as known (a named choice).
 const MAX_AMPLITUDE_RATIO: f64 = 1.5;
 
-/// Slowest and fastest ripple in words, where the exposures do not tell which is the lamp's.
+/// Describes the slowest and fastest fitting ripple if the exposures do not determine the lamp's.
 fn other_ripple(ripples: Option<[FittingRipple; 2]>) -> Option<String> {
     let [slow, fast] = ripples.filter(|[slow, fast]| fast.rel > MAX_AMPLITUDE_RATIO * slow.rel)?;
     Some(format!(
@@ -170,8 +173,8 @@ fn other_ripple(ripples: Option<[FittingRipple; 2]>) -> Option<String> {
     ))
 }
 
-/// Third of the distance from a value to that of the farther of two ripples within three standard errors; 0
-/// without these.
+/// Returns a third of the distance from a value to that of the farther of two ripples within three standard
+/// errors; 0 without ripples.
 fn spread_of(ripples: Option<[FittingRipple; 2]>, value: fn(&FittingRipple) -> f64, own: f64) -> f64 {
     ripples.iter().flatten().map(|r| (value(r) - own).abs() / 3.0).fold(0.0, f64::max)
 }
@@ -185,14 +188,14 @@ pub struct FittingRipple {
     pub rel: f64,
 }
 
-/// Step of the exposure that the levels of a campaign's flats follow.
+/// Exposure step that the levels of a campaign's flats follow.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExposureStep {
-    /// 1: exposures are cut to whole steps, 2: to the nearest, 3: up.
+    /// Rounding of exposures to whole steps: 1: down, 2: to the nearest, 3: up.
     pub shape: f64,
-    /// The step, s: the middle of those that give every exposure the same number of steps.
+    /// Step, s: the middle of those that give every exposure the same number of steps.
     pub step_s: f64,
-    /// Its standard error, s.
+    /// Standard error of the step, s.
     pub std_err_s: f64,
 }
 
@@ -205,8 +208,8 @@ impl Seen {
         self.lit_levels >= Self::MIN_CURVE_LEVELS
     }
 
-    /// Starts of a charge at which something ends: near the brightest level, e. Shading and noise reach some per cent above it, and what only
-    /// these reach shows in steps as fine.
+    /// Returns start values near the brightest level for a charge at which the range ends, e. Shading and
+    /// noise reach some per cent above that level. A limit that only these reach needs steps as fine.
     fn near_peak(&self) -> Vec<Vec<f64>> {
         [1.0, 0.9, 0.97, 1.03, 1.06, 1.1, 1.15, 1.22, 1.3]
             .into_iter()
@@ -215,31 +218,32 @@ impl Seen {
             .collect()
     }
 
-    /// Returns true if many samples hold far more charge than this, e, so that no well ends there.
+    /// Returns true if many samples hold far more charge than this, e, so that it is no full well.
     pub fn exceeds(&self, charge_e: f64) -> bool {
         self.highest_dn * self.peak_e > FAR_ABOVE * charge_e * self.peak_dn
     }
 }
 
-/// Reason that no well ends at a charge.
+/// Reason why a charge is no full well.
 const BRIGHTER_PIXELS: &str = "many samples hold far more charge than that, and are not cut off";
 
-/// Ratio of the brightest samples to a full well up to which noise and unequal pixels make them (a named
+/// Maximum ratio of the brightest samples to a full well that noise and unequal pixels explain (a named
 /// choice).
 const FAR_ABOVE: f64 = 1.5;
 
 impl Parameter {
-    /// Whether it says which of several kinds, and is not fitted: every start is tried. Its unit is `choice`.
+    /// Returns true if the parameter selects one of several forms (its unit is `choice`). It is not fitted;
+    /// every start is tried.
     pub fn is_choice(&self) -> bool {
         self.unit == "choice"
     }
 
-    /// Whether it may be nothing, so that its value says how strong the effect is.
+    /// Returns true if the parameter may be 0, so that its value is the strength of the effect.
     pub fn is_size(&self) -> bool {
         self.min <= 0.0 && self.max >= 0.0 && !self.is_choice() && !self.starts.is_empty()
     }
 
-    /// Meaning without the name of the choice before its colon.
+    /// Returns the meaning without the prefix that names the choice (up to the colon).
     pub fn plain_meaning(&self) -> &'static str {
         let of_choice = |of: &str| of.starts_with("shape") && of.ends_with(|c: char| c.is_ascii_digit());
         self.meaning.split_once(": ").filter(|(of, _)| of_choice(of)).map_or(self.meaning, |(_, plain)| plain)
@@ -249,30 +253,30 @@ impl Parameter {
 /// A combination of parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Together {
-    /// Its name.
+    /// Name.
     pub name: &'static str,
-    /// Its unit.
+    /// Unit.
     pub unit: &'static str,
-    /// Its value.
+    /// Value.
     pub value: f64,
-    /// How it grows with each parameter.
+    /// Derivative with respect to each parameter.
     pub slopes: Vec<f64>,
-    /// Where nothing tells the parts apart: what it may be off by for that, per electron of the brightest signal.
+    /// Model error if nothing tells the parts apart, per electron of the brightest signal.
     pub unsure_per_e: f64,
 }
 
-/// A camera as examples need it.
+/// Camera data from which examples are derived.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plain {
     /// A, DN/e.
     pub gain_dn_per_e: f64,
     /// Signal near full scale, e.
     pub range_e: f64,
-    /// Exposure that brings it, s.
+    /// Exposure that reaches this signal, s.
     pub bright_s: f64,
     /// Constant noise, e.
     pub noise_e: f64,
-    /// Time of a frame, s.
+    /// Frame time, s.
     pub frame_s: f64,
     /// Rows.
     pub rows: f64,
@@ -285,7 +289,7 @@ pub struct Plain {
 }
 
 impl Plain {
-    /// Of a model.
+    /// Derives the data from a model.
     pub fn of(model: &crate::Model) -> Self {
         let gain = model.base.gain_dn_per_e;
         let range_e = 0.85 * f64::from(model.full_scale_dn()) / gain;
@@ -304,31 +308,31 @@ impl Plain {
     }
 }
 
-/// What people want to know of an effect.
+/// Description of an effect for its page.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Page {
-    /// What happens, in a sentence or two.
+    /// Mechanism, in a sentence or two.
     pub what: &'static str,
-    /// The equation used here.
+    /// Equation used here.
     pub equation: &'static str,
-    /// Which statistic moves, and how.
+    /// Statistics that change, and the change.
     pub signature: &'static str,
-    /// How to tell it from what looks like it.
+    /// Differences from effects that look similar.
     pub look_alikes: &'static str,
     /// Remedies, the first one first, separated by semicolons.
     pub remedy: &'static str,
-    /// The measurement that separates it from its look-alikes.
+    /// Measurement that separates it from its look-alikes.
     pub measure: &'static str,
-    /// That measurement as sets of frames: one of [`takes`].
+    /// Sets of frames for that measurement: one of [`takes`].
     pub sets: &'static [Take],
-    /// Where it is described.
+    /// Reference.
     pub source: &'static str,
 }
 
-/// A set of frames to be taken.
+/// Set of frames to capture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Take {
-    /// What is before the camera; `None`: no light.
+    /// Scene before the camera; `None`: no light.
     pub scene: Option<crate::Scene>,
     /// Frames.
     pub frames: u32,
@@ -355,7 +359,8 @@ pub mod takes {
 
     /// Many short darks, and as many bright flats to compare them with.
     pub const DARKS: &[Take] = &[dark(128, 0.02), flat(32, 1.0, 0.5), dark(32, 1.0), flat(32, 1.0, 1.0)];
-    /// Exposures in small steps up to full scale at one light, and one light level against another at one exposure.
+    /// Exposures in small steps up to full scale at one light, and one light level against another at one
+    /// exposure.
     pub const SWEEP: &[Take] = &[
         dark(32, 0.02),
         flat(16, 0.1, 1.0),
@@ -416,33 +421,33 @@ pub mod takes {
 pub trait Effect: Sync + Send {
     /// Identifier, as in `[[effect]] id = "..."`.
     fn id(&self) -> &'static str;
-    /// Other words that people use for it, in lower case.
+    /// Synonyms, in lower case.
     fn also_called(&self) -> &'static [&'static str] {
         &[]
     }
-    /// Its place in the chain.
+    /// Returns the stage of the chain at which it acts.
     fn stage(&self) -> Stage;
-    /// The same where a choice among its parameters decides.
+    /// Returns the stage for these values, if a choice among the parameters decides it.
     fn stage_with(&self, _values: &[f64]) -> Stage {
         self.stage()
     }
-    /// Its parameters.
+    /// Returns the parameters.
     fn parameters(&self) -> &'static [Parameter];
-    /// Entry of a model file that can be read without it, where formulas make it.
+    /// Returns the entry of a model file that can be read without the effect, for an effect of formulas.
     fn written(&self) -> Option<crate::EffectValues> {
         None
     }
-    /// Whether a fit leaves the sign of the parameters as it finds it: where positive and negative are two ways of the same thing, and
-    /// the statistics have a kink between them. Every combination of signs is tried.
+    /// Returns true if a fit keeps the sign of the parameters: positive and negative values are two forms of
+    /// the effect, and the statistics have a kink between them. Every combination of signs is tried.
     fn keeps_sign(&self) -> bool {
         false
     }
-    /// What a campaign must have for it to be looked for.
+    /// Returns the data that a campaign must have for a search of the effect.
     fn needs(&self) -> Needs {
         Needs::Frames
     }
-    /// Where a search begins: values of all parameters, each list of which is tried. They must move what is predicted: what moves
-    /// nothing that was measured is not looked for.
+    /// Returns the start values of a search: lists of all parameters, each of which is tried. A start must
+    /// change the prediction: an effect that changes nothing measured is not searched for.
     fn starts(&self, _seen: &Seen) -> Vec<Vec<f64>> {
         let parameters = self.parameters();
         let tries = parameters.iter().map(|p| p.starts.len()).max().unwrap_or(1);
@@ -450,86 +455,89 @@ pub trait Effect: Sync + Send {
             |p: &Parameter, k: usize| p.starts.get(k).or(p.starts.last()).copied().unwrap_or(p.min.max(0.0));
         (0..tries).map(|k| parameters.iter().map(|p| of(p, k)).collect()).collect()
     }
-    /// True if a fitted spread of the read noise absorbs most of the effect: a fit with it begins at a lower
-    /// read noise, since no slope leads there.
+    /// Returns true if a fitted spread of the read noise absorbs most of the effect. A fit with the effect
+    /// then starts at a lower read noise, since no slope leads there.
     fn read_noise_absorbs_it(&self) -> bool {
         false
     }
-    /// Standard error of a parameter beyond that of the fit, in its own unit: from values that give the same
-    /// codes, or fit this campaign as well.
+    /// Returns the standard error of a parameter beyond that of the fit, in its own unit: from values that
+    /// give the same codes, or fit this campaign as well.
     fn resolution(&self, _parameter: usize, _p: &[f64], _seen: &Seen) -> f64 {
         0.0
     }
-    /// Whether a parameter is a whole number that the codes show: its starts are tried one by one, and none is fitted.
+    /// Returns true if a parameter is a whole number that the codes show. Its starts are tried one by one,
+    /// and it is not fitted.
     fn is_whole(&self, _parameter: usize) -> bool {
         false
     }
-    /// Whether a parameter matters where the choices are those of these values.
+    /// Returns true if a parameter matters for the choices in these values.
     fn uses(&self, _p: &[f64], _parameter: usize) -> bool {
         true
     }
-    /// Redundant direction in the parameters: moving along it changes no code of a camera of this full scale.
-    /// Fits keep the values orthogonal to it.
+    /// Returns a redundant direction in the parameters: a move along it changes no code of a camera of this
+    /// full scale. Fits keep the values orthogonal to it.
     fn redundant(&self, _p: &[f64], _full_scale_dn: f64) -> Option<Vec<f64>> {
         None
     }
-    /// What the choices mean, in words.
+    /// Describes the form that the choices select.
     fn form(&self, _p: &[f64]) -> Option<&'static str> {
         None
     }
-    /// What only a combination of parameters may tell, where single ones are not known.
+    /// Returns a combination of parameters that may be known where single ones are not.
     fn together(&self, _p: &[f64]) -> Option<Together> {
         None
     }
-    /// Twice the logarithm of how many times rarer it is than what looks the same: of two that a campaign
-    /// cannot tell apart the more common one stands first.
+    /// Returns twice the logarithm of how many times rarer the effect is than its look-alikes. Of two that a
+    /// campaign cannot tell apart, the more common one ranks first.
     fn rarer(&self) -> f64 {
         0.0
     }
-    /// Whether frames depend on those before them: what was exposed before the first is then not known.
+    /// Returns true if frames depend on earlier frames; the exposures before the first frame are then
+    /// unknown.
     fn has_memory(&self) -> bool {
         false
     }
-    /// Number of frames after which nothing is left of a level; `None`: a part of a part always stays.
+    /// Returns the number of frames after which nothing is left of a level; `None`: a remainder always stays.
     fn forgets_after(&self, _p: &[f64]) -> Option<usize> {
         None
     }
-    /// Value of a parameter to draw with where a model gives none; `None`: it must be given.
+    /// Returns the default of a parameter to draw with if a model gives no value; `None`: a value is
+    /// required.
     fn usual(&self, _parameter: usize) -> Option<f64> {
         None
     }
-    /// Whether it is another effect at these values: a limit of its shape.
+    /// Returns true if these values are a limit of the shape at which the effect is another one.
     fn is_another(&self, _p: &[f64], _seen: &Seen) -> bool {
         false
     }
-    /// Contradiction between the campaign and the effect at these values and standard errors: it may fit, and its name
-    /// does not stand.
+    /// Returns the contradiction between the campaign and the effect at these values and standard errors. The
+    /// effect may fit, but its name is then not given.
     fn contradicted(&self, _p: &[f64], _std_err: &[f64], _seen: &Seen) -> Option<&'static str> {
         None
     }
-    /// Other values that fit the campaign as well, in words; none where it tells them apart.
+    /// Describes other values that fit the campaign as well; `None` if the campaign tells them apart.
     fn fits_as_well(&self, _p: &[f64], _seen: &Seen) -> Option<String> {
         None
     }
-    /// Values of the forms with the same means and another noise: each means another gain, and few frames
-    /// do not tell them apart.
+    /// Returns the values of the forms with the same means and another noise. Each implies another gain, and
+    /// few frames do not tell them apart.
     fn forms_with_same_means(&self, _p: &[f64]) -> Vec<Vec<f64>> {
         Vec::new()
     }
-    /// True for an effect that darks alone can show.
+    /// Returns true if darks alone can show the effect.
     fn shows_in_darks(&self) -> bool {
         matches!(self.stage(), Stage::Read | Stage::Converter | Stage::Firmware)
     }
-    /// True for an effect by which flats of one light change their level with time.
+    /// Returns true if the effect changes the level of flats of one light with time.
     fn is_drift_of_level(&self) -> bool {
         false
     }
-    /// True for an effect by which each set has a light of its own; else the light stays until another level is
-    /// set.
+    /// Returns true if the effect gives each set a light of its own; else the light stays until another level
+    /// is set.
     fn sets_each(&self) -> bool {
         false
     }
-    /// Returns true if the effect with these values changes with time: they depend on the times of frames.
+    /// Returns true if the effect with these values depends on the times of frames.
     fn is_in_time(&self, _: &[f64]) -> bool {
         false
     }
@@ -537,35 +545,36 @@ pub trait Effect: Sync + Send {
     fn bends_means(&self) -> bool {
         false
     }
-    /// The statistic that is its scatter itself: where less is measured than it would make it is not there,
-    /// though its scatter may excuse other deviations.
+    /// Returns the statistic that is the effect's scatter itself. The effect is excluded if less is measured
+    /// than it would cause, though its scatter may excuse other deviations.
     fn shown_by(&self) -> Option<&'static str> {
         None
     }
-    /// Statistics that tell it from what looks like it, by their names in the code: its name does not stand where they deviate with it.
+    /// Returns the statistics that tell the effect from its look-alikes, by their names in the code. The name
+    /// of the effect is not given if they deviate with it.
     fn told_by(&self) -> &'static [&'static str] {
         &[]
     }
-    /// Values at which it is plain to see in a campaign of the standard plan; `None` where flats, darks and a scene of unknown contrast
-    /// show nothing of it.
+    /// Returns values that are plain to see in a campaign of the standard plan; `None` if flats, darks and a
+    /// scene of unknown contrast do not show the effect.
     fn example(&self, plain: &Plain) -> Option<Vec<f64>>;
-    /// Values so many times as strong, within the bounds.
+    /// Multiplies the strength of the values by `by`, within the bounds.
     fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
         let of = |(v, p): (&f64, &Parameter)| if p.is_size() { (v * by).clamp(p.min, p.max) } else { *v };
         values.iter().zip(self.parameters()).map(of).collect()
     }
-    /// What people want to know.
+    /// Returns the description for its page.
     fn page(&self) -> Page;
     /// Shifts the expected statistics. `p` are the values of [`parameters`](Self::parameters).
     fn predict(&self, p: &[f64], campaign: &Campaign, out: &mut Prediction);
-    /// Acts on a frame.
+    /// Applies the effect to a frame.
     fn draw(&self, p: &[f64], frame: &mut Drawing<'_>);
 }
 
 /// A frame on its way through the chain.
 ///
-/// `image` holds the expected charge (e) at [`Stage::Light`], charge (e) until the amplifier, DN above the black level
-/// until the end of [`Stage::Converter`], and DN with the black level at [`Stage::Firmware`].
+/// `image` holds the expected charge (e) at [`Stage::Light`], charge (e) until the amplifier, DN above the
+/// black level until the end of [`Stage::Converter`], and DN with the black level at [`Stage::Firmware`].
 #[derive(Debug)]
 pub struct Drawing<'a> {
     /// The frame, (rows, columns).
@@ -588,13 +597,13 @@ pub struct Drawing<'a> {
     pub seed: u64,
     /// Largest code, DN.
     pub full_scale_dn: f64,
-    /// Black level at zero exposure, DN: from it the image counts before conversion.
+    /// Black level at zero exposure, DN; the image counts from it before conversion.
     pub offset_dn: f64,
     /// A, DN/e.
     pub gain_dn_per_e: f64,
     /// Read noise, root mean square over the pixels, DN.
     pub read_noise_dn: f64,
-    /// What an effect keeps from frame to frame, by its identifier.
+    /// Images kept from frame to frame, by the identifier of the effect.
     pub memory: &'a mut Memory,
 }
 
@@ -602,13 +611,13 @@ pub struct Drawing<'a> {
 pub type Memory = std::collections::BTreeMap<&'static str, ndarray::Array2<f64>>;
 
 impl Drawing<'_> {
-    /// Random numbers of an effect: the same for the same frame, effect and index.
+    /// Returns the random stream of an effect: the same for the same frame, effect and index.
     pub fn random(&self, effect: &str, frame: u64, index: u32) -> crate::rng::PixelRng {
         let tag = effect.bytes().fold(17u32, |h, b| h.wrapping_mul(31).wrapping_add(u32::from(b)));
         crate::rng::PixelRng::new(self.seed, crate::rng::Stream::Effect, frame, index, tag & 0x7fff_fff0)
     }
 
-    /// Adds one normal number of deviation `sd` to each row (axis 0) or column (axis 1).
+    /// Adds one normal number of standard deviation `sd` to each row (axis 0) or column (axis 1).
     pub fn add_to_lines(&mut self, effect: &str, axis: usize, sd: f64) {
         for i in 0..self.image.len_of(ndarray::Axis(axis)) {
             let e = sd * self.random(effect, self.frame, i as u32).normal();
@@ -616,13 +625,13 @@ impl Drawing<'_> {
         }
     }
 
-    /// The image shifted by whole pixels; the border is repeated.
+    /// Returns the image shifted by whole pixels; the border is repeated.
     pub fn shifted(&self, dy: i32, dx: i32) -> ndarray::Array2<f64> {
         shifted(&self.image, dy, dx)
     }
 }
 
-/// An image moved down by `dy` and right by `dx`; the border is repeated.
+/// Returns an image moved down by `dy` and right by `dx`; the border is repeated.
 pub fn shifted(image: &ndarray::Array2<f64>, dy: i32, dx: i32) -> ndarray::Array2<f64> {
     let (rows, columns) = image.dim();
     let at = |i: usize, d: i32, n: usize| (i as i64 - i64::from(d)).clamp(0, n as i64 - 1) as usize;
@@ -681,17 +690,17 @@ effects! {
     companding::Companding
 }
 
-/// Effects that a program brought along.
+/// Effects registered by the program.
 static OWN: std::sync::RwLock<Vec<&'static dyn Effect>> = std::sync::RwLock::new(Vec::new());
 
-/// Makes an effect of your own known for as long as the program runs: models may name it, and a diagnosis tries it as well. An
-/// error says which effect has its identifier already.
+/// Registers a user's effect for the lifetime of the program: models may name it, and a diagnosis tries it as
+/// well.
 ///
 /// `examples/row-gain-noise` is a program with an effect of its own.
 ///
 /// # Errors
 ///
-/// Which effect has its identifier already.
+/// An effect with this identifier exists already; the message names it.
 pub fn register(effect: &'static dyn Effect) -> Result<(), String> {
     let mut own = OWN.write().unwrap_or_else(std::sync::PoisonError::into_inner);
     let taken = EFFECTS.iter().chain(own.iter()).any(|e| e.id() == effect.id());
@@ -702,7 +711,7 @@ pub fn register(effect: &'static dyn Effect) -> Result<(), String> {
     Ok(())
 }
 
-/// Takes an effect of the user's own out again. `false`: there was none of this identifier.
+/// Unregisters a user's effect. Returns false if there was none with this identifier.
 pub fn unregister(id: &str) -> bool {
     let mut own = OWN.write().unwrap_or_else(std::sync::PoisonError::into_inner);
     let before = own.len();
@@ -710,27 +719,27 @@ pub fn unregister(id: &str) -> bool {
     own.len() < before
 }
 
-/// Every effect, registered ones last.
+/// Returns every effect, registered ones last.
 pub fn all() -> Vec<&'static dyn Effect> {
     let own = OWN.read().unwrap_or_else(std::sync::PoisonError::into_inner);
     EFFECTS.iter().chain(own.iter()).copied().collect()
 }
 
-/// Effects that a search does not consider.
+/// Identifiers of effects excluded from searches.
 static LEFT_OUT: std::sync::RwLock<Vec<String>> = std::sync::RwLock::new(Vec::new());
 
-/// Leaves an effect out of every search for as long as the program runs; models may name it still.
+/// Excludes an effect from every search for the lifetime of the program; models may still name it.
 pub fn leave_out(id: &str) {
     LEFT_OUT.write().unwrap_or_else(std::sync::PoisonError::into_inner).push(id.into());
 }
 
-/// Every effect that a search considers, registered ones last.
+/// Returns every effect that a search considers, registered ones last.
 pub fn considered() -> Vec<&'static dyn Effect> {
     let left_out = LEFT_OUT.read().unwrap_or_else(std::sync::PoisonError::into_inner);
     all().into_iter().filter(|e| left_out.iter().all(|id| id != e.id())).collect()
 }
 
-/// An effect by its identifier.
+/// Finds an effect by its identifier.
 pub fn find(id: &str) -> Option<&'static dyn Effect> {
     all().into_iter().find(|e| e.id() == id)
 }

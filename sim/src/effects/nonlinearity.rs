@@ -7,9 +7,9 @@ use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction
 /// A curve after the amplifier, one of several shapes.
 pub struct Nonlinearity;
 
-/// Knots of the free curve, at equal steps up to full scale; it begins at 0.
+/// Number of knots of the free curve, at equal steps up to full scale; it begins at 0.
 const KNOTS: usize = 6;
-/// Places of the parameters.
+/// Indexes of the parameters.
 const REL: usize = 1;
 const EXPONENT: usize = 4;
 const KNEE: usize = 5;
@@ -24,8 +24,8 @@ const fn size(name: &'static str, meaning: &'static str, start: f64) -> Paramete
     Parameter { name, meaning, unit: "1", min: -max, max, starts }
 }
 
-/// Natural cubic spline through (0, 0) and values at equal steps: second derivatives at the knots, in steps
-/// (de Boor 2001, A Practical Guide to Splines, ch. IV).
+/// Computes the natural cubic spline through (0, 0) and values at equal steps: second derivatives at the
+/// knots, in steps (de Boor 2001, A Practical Guide to Splines, ch. IV).
 fn second_derivatives(values: &[f64; KNOTS + 1]) -> [f64; KNOTS + 1] {
     let (mut below, mut right) = ([0.0; KNOTS + 1], [0.0; KNOTS + 1]);
     for i in 1..KNOTS {
@@ -40,7 +40,7 @@ fn second_derivatives(values: &[f64; KNOTS + 1]) -> [f64; KNOTS + 1] {
     out
 }
 
-/// The curve.
+/// Returns the curve.
 fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
     let shape = p[0].round() as i32;
     let p: Vec<f64> = p.to_vec();
@@ -48,7 +48,7 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
     values[1..].copy_from_slice(&p[FIRST_KNOT..TOE]);
     let second = second_derivatives(&values);
     move |v| {
-        // Below zero it goes on as a straight line would, but for the power law: noise there is small.
+        // Below zero the curve continues as a straight line, except for the power law: noise there is small.
         let x = v.max(0.0) / full_scale_dn;
         match shape {
             0..=2 => v * (1.0 - p[REL] * x.powi(shape + 1)),
@@ -76,27 +76,27 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
     }
 }
 
-/// Part of the brightest level above which a knee is one of a well that fills, and slope beyond it below which it
-/// is (named choices: amplifiers bend by less).
+/// Share of the brightest level above which a knee may be a well that fills, and slope above the knee below
+/// which it is (named choices: amplifiers bend by less).
 const FILLING: f64 = 0.85;
 const FILLS: f64 = 0.75;
 
-/// The shape that is a table of whole codes.
+/// Shape that is a table of whole codes.
 const WHOLE_CODE: i32 = 9;
 
-/// Deviation of a rounded number from itself, in codes: root 1/12.
+/// Standard deviation of the rounding error, in codes: root 1/12.
 const ROUNDED: f64 = 0.29;
 
 fn is_of_whole_code(p: &[f64]) -> bool {
     p[0].round() as i32 == WHOLE_CODE
 }
 
-/// Codes c become full scale (c / full scale)^g, the black level with them: the level of the darks is what
-/// becomes of it.
+/// Maps codes c to full scale (c / full scale)^g, black level included: the level of the darks is the black
+/// level after the map.
 fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
     let (full, black) = (c.full_scale_dn, out.base.offset_dn.max(1e-3));
     let before = full * libm::pow(black / full, 1.0 / g);
-    // Table codes lie a slope apart: where that is more than one code, some do not occur.
+    // Table codes lie a slope apart: if the slope is above 1, some codes do not occur.
     let slope = |level: f64| g * libm::pow((level.max(1.0)) / full, g - 1.0);
     for (i, s) in out.sets.iter_mut().enumerate() {
         let spread = c.sets.get(i).map_or(0.0, |s| s.spread_dn);
@@ -106,9 +106,9 @@ fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
         let used: f64 = all.map(|(x, share)| share * (1.0 / slope(level + spread * x)).min(1.0)).sum();
         s.codes_used *= used;
         let here = slope(level);
-        // A table's own rounding runs through its phases by the slope less 1 from code to code, and averages out
-        // where the noise and the levels cover a turn of it (Widrow and Kollar 2008, ch. 4); where codes are a
-        // slope apart, noise must cover that.
+        // The table's own rounding runs through its phases by the slope less 1 per code. It averages out if
+        // the noise and the levels cover a turn (Widrow and Kollar 2008, ch. 4). Where codes are a slope
+        // apart, noise must cover that distance.
         let (turn, variance) = (here - 1.0, s.covariance(0, 0));
         let square = 2.0 * std::f64::consts::PI * std::f64::consts::PI;
         let left = libm::exp(-square * turn * turn * (variance + spread * spread));
@@ -260,7 +260,7 @@ impl Effect for Nonlinearity {
         }
         let mut out: Vec<Vec<f64>> = (0..3).map(|k| with(f64::from(k), &[(REL, 0.01)])).collect();
         if !seen.means {
-            // The variance alone tells no more than one number of a bend.
+            // The variance alone determines one parameter of a bend.
             return out;
         }
         out.extend([0.97, 0.85, 0.6, 0.45, 1.1].map(|e| with(f64::from(WHOLE_CODE), &[(EXPONENT, e)])));
@@ -279,10 +279,11 @@ impl Effect for Nonlinearity {
         Needs::Variances
     }
 
-    /// Beyond a full well charge still rises by a few per cent of what light brings: pixels differ, and few are full at first.
-    /// A knee in the last part of what was measured is a well that fills: so few levels lie beyond it that two
-    /// slopes are as near as any curve. A toe as wide as the range is a bend, of which other shapes tell; one
-    /// within the noise of darks is what darks and lit frames differ by.
+    /// A slope near 0 above the knee is a full well: charge still rises by a few per cent of what light
+    /// brings, since pixels differ and few are full at first. A knee in the last part of the range is a well
+    /// that fills: so few levels lie beyond it that two slopes are as near as any curve. A toe as wide as the
+    /// range is a bend, which other shapes describe. A toe within the noise of darks is a difference between
+    /// darks and lit frames.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         match p[0].round() as i32 {
             5 => p[KNEE + 1] < 0.1 || p[KNEE] > FILLING * seen.peak_dn && p[KNEE + 1] < FILLS,
@@ -363,7 +364,8 @@ impl Effect for Nonlinearity {
 mod tests {
     use super::*;
 
-    /// The natural spline through 0, 1, 3, 2, 3, 5, 9 at 0 to 6, from its tridiagonal system solved by numpy 2.4 (numpy.linalg.solve).
+    /// The natural spline through 0, 1, 3, 2, 3, 5, 9 at 0 to 6, from its tridiagonal system solved by numpy
+    /// 2.4 (numpy.linalg.solve).
     #[test]
     fn the_spline_is_that_of_numpy() {
         let mut p = vec![0.0; PLACES];

@@ -44,7 +44,7 @@ impl Effect for OffsetDrift {
 
     drift::in_time!();
 
-    /// A glow fades where it glows; the black level moves everywhere.
+    /// A glow fades locally; the black level moves everywhere.
     fn told_by(&self) -> &'static [&'static str] {
         &["profiles"]
     }

@@ -33,8 +33,8 @@ impl Effect for OffsetNoise {
         Some("variance of frame means")
     }
 
-    /// A light that blinks, or a level that wanders, runs from frame to frame; a level that steps within a frame
-    /// tilts it.
+    /// A light that blinks, or a level that wanders, shows in the succession of frames; a level that steps
+    /// within a frame tilts it.
     fn told_by(&self) -> &'static [&'static str] {
         &["succession of frame means", "variance of frame gradients"]
     }

@@ -1,17 +1,18 @@
-//! Effects of a user's own in files: formulas with a name and a page, which join the catalogue.
+//! Users' effects in files: formulas with a name and a page, which join the catalogue.
 
 use super::{Described, Effect, Page, custom, find, register, takes};
 use crate::text::echo;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Words that stand in the place of an effect's name: in a model file, in a verdict, and on the command line.
+/// Reserved words, used in the place of an effect's name in a model file, in a verdict, and on the command
+/// line.
 const NO_NAMES: [&str; 5] = ["custom", "unknown", "law", "new", "help"];
 
-/// Characters of a name.
+/// Maximum number of characters of a name.
 const MAX_NAME_CHARACTERS: usize = 60;
 
-/// Effect of a user's own: formulas, as a custom effect of a model file has them, with a name and a page.
+/// User's effect: formulas, as a custom effect of a model file has them, with a name and a page.
 ///
 /// ```
 /// use radcam_sim::effects::{OwnEffect, considered};
@@ -50,7 +51,7 @@ pub struct OwnEffect {
     pub page: OwnPage,
 }
 
-/// Page of an effect of a user's own; what is empty is said not to be known.
+/// Page of a user's effect; empty fields are reported as unknown.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OwnPage {
@@ -58,22 +59,22 @@ pub struct OwnPage {
     pub what: String,
     /// Statistic that moves, and how.
     pub signature: String,
-    /// Ways to tell it from what looks like it.
+    /// Differences from effects that look similar.
     pub look_alikes: String,
     /// Remedies, the first one first, separated by semicolons.
     pub remedy: String,
     /// Measurement that separates it from its look-alikes.
     pub measure: String,
-    /// Place where it is described.
+    /// Reference.
     pub source: String,
 }
 
 impl OwnEffect {
-    /// Reads a file of an effect.
+    /// Reads an effect file.
     ///
     /// # Errors
     ///
-    /// Which line, name, formula or bound cannot be understood.
+    /// A line, name, formula or bound cannot be understood; the message names it.
     pub fn from_toml(text: &str) -> Result<Self, String> {
         let own: Self = toml::from_str(text)
             .map_err(|e| crate::text::echo_message(&e.to_string()).trim_end().to_string())?;
@@ -81,20 +82,20 @@ impl OwnEffect {
         Ok(own)
     }
 
-    /// The effect as a file.
+    /// Writes the effect as a file.
     ///
     /// # Errors
     ///
-    /// A number that TOML does not have.
+    /// A number does not exist in TOML.
     pub fn to_toml(&self) -> Result<String, String> {
         toml::to_string(self).map_err(|e| e.to_string())
     }
 
-    /// Checks name, formulas, values and bounds; nothing is kept.
+    /// Checks name, formulas, values and bounds; stores nothing.
     ///
     /// # Errors
     ///
-    /// Which of them cannot be understood.
+    /// One of them cannot be understood; the message names it.
     pub fn check(&self) -> Result<(), String> {
         self.check_name()?;
         let described = self.described();
@@ -116,7 +117,7 @@ impl OwnEffect {
     ///
     /// # Errors
     ///
-    /// A name with other characters, or too many.
+    /// The name is reserved, has other characters, or too many.
     pub fn check_name(&self) -> Result<(), String> {
         let is_of_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
         if NO_NAMES.contains(&&*self.name) {
@@ -135,7 +136,7 @@ impl OwnEffect {
         Ok(())
     }
 
-    /// The effect. It is kept until the program ends.
+    /// Creates the effect. It is kept until the program ends.
     ///
     /// # Errors
     ///
@@ -145,14 +146,14 @@ impl OwnEffect {
         custom(self.described())
     }
 
-    /// Makes it known for as long as the program runs, as [`register`] does.
+    /// Registers the effect for the lifetime of the program, as [`register`] does.
     ///
     /// # Errors
     ///
     /// As [`check`](Self::check), or another effect has its name.
     pub fn register(&self) -> Result<(), String> {
         let effect = self.effect()?;
-        // An effect may lie in two folders, found at another strength; the first is kept.
+        // An effect may lie in two folders, fitted with two strengths; the first is kept.
         let formulas = |known: &'static dyn Effect| known.written().map(|w| w.formulas);
         if find(&self.name).and_then(formulas).is_some_and(|known| known == self.formulas) {
             return Ok(());
@@ -172,7 +173,7 @@ impl OwnEffect {
     }
 }
 
-/// Page of an effect of formulas.
+/// Builds the page of an effect of formulas.
 pub(super) fn page_of(described: &Described<'_>) -> Page {
     let keep = |text: &str| -> &'static str { Box::leak(text.to_string().into_boxed_str()) };
     let or = |text: Option<&String>, otherwise: &'static str| match text.filter(|t| !t.trim().is_empty()) {

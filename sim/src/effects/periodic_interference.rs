@@ -6,7 +6,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 /// step with the rows, or by row.
 pub struct PeriodicInterference;
 
-/// Ways in which a disturbance meets the read-out.
+/// Read-out order that a disturbance meets.
 #[derive(Clone, Copy, PartialEq)]
 enum Shape {
     /// Pixels are read one after the other.
@@ -27,7 +27,7 @@ impl Shape {
     }
 }
 
-/// Cycles from one pixel to the next in its row, and from one row to the next.
+/// Returns the cycles from one pixel to the next in its row, and from one row to the next.
 fn cycles(p: &[f64], columns: usize) -> (f64, f64) {
     match Shape::of(p) {
         Shape::InReadOutOrder => (p[1], p[1] * columns as f64 + p[2]),
@@ -36,7 +36,8 @@ fn cycles(p: &[f64], columns: usize) -> (f64, f64) {
     }
 }
 
-/// Distance from half a cycle a pixel, in cycles a row, within which a line may lie at it (a named choice).
+/// Maximum distance of a line from half a cycle a pixel, in cycles a row, at which it may lie there (a named
+/// choice).
 const NEAR_HALF: f64 = 2.0;
 
 impl Effect for PeriodicInterference {
@@ -101,16 +102,16 @@ impl Effect for PeriodicInterference {
         }
     }
 
-    /// Starts at the strongest line, which is one tooth of a comb where rows are blanked, on either side of it with
-    /// the phase that puts the tooth there, and at the strongest stripes of columns and of rows. No line, no
-    /// stripes: no start.
+    /// Returns starts at the strongest line and at the strongest stripes of columns and of rows. If rows are
+    /// blanked, the line is one tooth of a comb: starts lie on either side of it, with the phase that puts
+    /// the tooth there. Without lines and stripes there is no start.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let columns = seen.columns.max(2.0);
         let start = |cycles_per_px: f64, blanking: f64, shape: f64| {
             vec![self.parameters()[0].starts[0], cycles_per_px.clamp(0.0, 0.5), blanking, shape]
         };
         let line = seen.line_cycles_per_px.into_iter();
-        // A clock of half the pixel rate: its line folds upon itself, and a fit from beside it ends beside it.
+        // Clock of half the pixel rate: its line folds upon itself, and a fit from beside it ends beside it.
         let half = line.clone().filter(|f| 0.5 - f < NEAR_HALF / columns);
         let half = half.flat_map(|_| [0.0, 0.5].map(|blanking| start(0.5, blanking, 0.0)));
         let tooth =
@@ -125,7 +126,7 @@ impl Effect for PeriodicInterference {
         line.flat_map(tooth).chain(half).chain(stripes).chain(of_rows).collect()
     }
 
-    /// A camera whose rows follow one another at once.
+    /// Default: a camera whose rows follow one another at once.
     fn usual(&self, parameter: usize) -> Option<f64> {
         (parameter == 2).then_some(0.0)
     }

@@ -7,23 +7,25 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 /// A share of the pixels is up or down by half the amplitude, at random in every frame.
 pub struct RandomTelegraphNoise;
 
-/// Of what the variances of the pixels spread by at least so much stays with the pixels (a named choice: of pixels that jump at one frame in
-/// seven it is four to six tenths in sets of eight frames, and nothing of deviations that hit any pixel).
+/// Minimum share of the spread of the pixels' variances that stays with the pixels (a named choice: for
+/// pixels that jump at one frame in seven it is 0.4 to 0.6 in sets of eight frames, and 0 for deviations that
+/// hit any pixel).
 const STAYS: f64 = 0.3;
 
-/// Of what the variances of the pixels spread by no more than so much is shared by pixels two columns or two rows apart (a named choice: of
-/// pixels that lie anywhere it is nothing, of parts of the sensor most of it, of its edges half).
+/// Maximum share of the spread of the pixels' variances that pixels two columns or two rows apart have in
+/// common (a named choice: for pixels anywhere it is 0, for parts of the sensor most of it, for its edges
+/// half).
 const ALONE: f64 = 0.25;
-/// Largest share of the pixels that are a few (a named choice: sensors have some per cent at most). Jumps of more
-/// are the sensor's own noise.
+/// Maximum share of the pixels that jump (a named choice: sensors have some per cent at most). Jumps of more
+/// pixels are the sensor's own noise.
 const FEW: f64 = 0.2;
 /// Relative errors of fraction and amplitude by the unknown distribution of the amplitudes (half of the
 /// difference between fits of both distributions to four cameras).
 const DISTRIBUTION_ERROR_REL: [f64; 2] = [0.5, 0.33];
-/// Standard errors beyond which it is.
+/// Standard errors beyond which a common share is significant.
 const SURE: f64 = 3.0;
 
-/// Mean, e^2, and mean square, e^4, of the variance of a jump over the pixels that jump.
+/// Returns mean, e^2, and mean square, e^4, of the variance of a jump over the pixels that jump.
 ///
 /// A jump of +-a / 2 has the variance a^2 / 4. Exponentially distributed amplitudes of mean A have the
 /// moments E a^2 = 2 A^2 and E a^4 = 24 A^4.
@@ -36,7 +38,7 @@ fn jump_moments(p: &[f64]) -> (f64, f64) {
     }
 }
 
-/// True if the amplitudes differ from pixel to pixel.
+/// Returns true if the amplitudes differ from pixel to pixel.
 fn amplitudes_differ(p: &[f64]) -> bool {
     p[AMPLITUDES].round() as i32 == 1
 }
@@ -44,7 +46,7 @@ fn amplitudes_differ(p: &[f64]) -> bool {
 /// Index of the parameter `amplitudes`.
 const AMPLITUDES: usize = 3;
 
-/// Spread of the pixels' variances, e^4.
+/// Returns the spread of the pixels' variances, e^4.
 fn spread(p: &[f64]) -> f64 {
     let (mean, square) = jump_moments(p);
     p[0] * square - (p[0] * mean).powi(2)
@@ -114,14 +116,15 @@ impl Effect for RandomTelegraphNoise {
     }
 
     fn together(&self, p: &[f64]) -> Option<Together> {
-        // What the variances of the pixels spread by; the mean variance says nothing beside a read noise that nobody knows.
+        // The combination is the spread of the pixels' variances; their mean says nothing beside an unknown
+        // read noise.
         let cube = p[1].powi(3);
         let (name, value) = ("fraction * amplitude_e^4", p[0] * p[1] * cube);
         let slopes = vec![p[1] * cube, 4.0 * p[0] * cube, 0.0, 0.0];
         Some(Together { name, unit: "e^4", value, slopes, unsure_per_e: 0.0 })
     }
 
-    /// Jumps of some dark noise.
+    /// Returns starts with jumps of several times the dark noise.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let noise_e = (seen.dark_noise_dn * seen.peak_e / seen.peak_dn.max(1e-9)).max(1.0);
         let one =
@@ -147,7 +150,7 @@ impl Effect for RandomTelegraphNoise {
         &["levels of noisy pixels", "covariance of successive frames"]
     }
 
-    /// Deviations that hit any pixel are none of this, nor are parts of the sensor.
+    /// Deviations that hit any pixel are not telegraph noise; noisy parts of the sensor are not either.
     fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
         let gain = seen.peak_dn / seen.peak_e.max(1e-9);
         let stays = spread(p) * gain.powi(4);
@@ -170,7 +173,7 @@ impl Effect for RandomTelegraphNoise {
     }
 
     fn scaled(&self, values: &[f64], by: f64) -> Vec<f64> {
-        // As many pixels, with other jumps.
+        // The number of pixels stays, the jumps change.
         vec![values[0], values[1] * by, values[2], values[3]]
     }
 
@@ -197,8 +200,8 @@ impl Effect for RandomTelegraphNoise {
             let spread = spread(p);
             s.unequal += spread;
             s.fourth -= 2.0 * p[0] * square;
-            // The number of jumping pixels scatters by chance. Where darks show the distribution of the pixels'
-            // noise, the fitted spread of the read noise absorbs it.
+            // The number of jumping pixels scatters by chance. Where darks show the distribution of the
+            // pixels' noise, the fitted spread of the read noise absorbs it.
             if c.ordinary.is_none() {
                 let pixels = (c.shape.0 * c.shape.1) as f64;
                 s.unsure = libm::hypot(s.unsure, spread * libm::sqrt(few / (p[0] * pixels).max(1.0)));
@@ -225,14 +228,14 @@ impl Effect for RandomTelegraphNoise {
     }
 }
 
-/// Frames back of which a level is followed at most.
+/// Maximum number of earlier frames in which a level is traced.
 const BACK: u64 = 200;
 
-/// Level of a pixel in this frame: true for the upper one. The level is drawn anew with chance 1 - |stays| and
-/// else kept (stays > 0) or inverted (stays < 0). The frame in which it was drawn last depends on the frame's
-/// number alone, so frames may be drawn in any order.
+/// Returns true if the pixel is at its upper level in this frame. The level is drawn anew with chance 1 -
+/// |stays| and else kept (stays > 0) or inverted (stays < 0). The frame in which it was drawn last depends on
+/// the frame's number alone, so frames may be drawn in any order.
 fn level(d: &Drawing<'_>, id: &str, pixel: u32, stays: f64) -> bool {
-    // Frame 0 is left out: its numbers chose the pixels.
+    // Frame 0 is left out: its numbers selected the pixels.
     let mut turned = false;
     for frame in (d.frame.saturating_sub(BACK)..=d.frame).rev() {
         let mut random = d.random(id, frame + 1, pixel);
@@ -249,7 +252,8 @@ fn level(d: &Drawing<'_>, id: &str, pixel: u32, stays: f64) -> bool {
 mod tests {
     use super::*;
 
-    /// A hundredth of the pixels jumps by 20 e, at 0.5 DN/e: their variances spread by 6.2 DN^4, of which four tenths may stay.
+    /// A hundredth of the pixels jumps by 20 e, at 0.5 DN/e: their variances spread by 6.2 DN^4, of which
+    /// four tenths may stay.
     #[test]
     fn what_any_pixel_has_is_no_telegraph_noise() {
         let seen = |steady_dn4| Seen { peak_e: 2000.0, peak_dn: 1000.0, steady_dn4, ..Seen::default() };

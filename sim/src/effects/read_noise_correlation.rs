@@ -1,20 +1,20 @@
-//! Read-noise correlation: the read noise of a pixel comes back in the next ones of its row.
+//! Read-noise correlation: a pixel's read noise recurs in the next pixels of its row.
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 use crate::predict::angle;
 
-/// Normal numbers of single pixels, each added to its own pixel and, with the same or the opposite sign, to
-/// the next of the row; or noise that dies away along the row.
+/// Normal noise of single pixels, each value added to its own pixel and, with the same or the opposite sign,
+/// to the next of the row; or noise that decays along the row.
 pub struct ReadNoiseCorrelation;
 
-/// Place of the correlation from pixel to pixel.
+/// Index of the parameter `next_pixel`.
 const NEXT: usize = 2;
 
 fn sign(p: &[f64]) -> f64 {
     if p[0] >= 0.5 { 1.0 } else { -1.0 }
 }
 
-/// Returns true for noise that dies away from pixel to pixel.
+/// Returns true for noise that decays from pixel to pixel.
 fn decays(p: &[f64]) -> bool {
     p[0] >= 1.5
 }

@@ -7,11 +7,11 @@ use crate::predict::Ripple;
 /// the next.
 pub struct RowNoise;
 
-/// Least number of bands in a frame where most of the noise is in bands, and where it is in single rows
-/// (named choices; a band is as long as the correlation takes to fall to 1/e).
+/// Minimum number of bands in a frame if most of the noise is in bands, and if it is in single rows (named
+/// choices; a band is as long as the correlation takes to fall to 1/e).
 const MIN_BANDS: f64 = 10.0;
 const MIN_BANDS_BESIDE_ROWS: f64 = core::f64::consts::LN_10;
-/// Part of the variance from which on it is mostly in bands.
+/// Share of the variance in bands above which the noise is mostly in bands.
 const MOSTLY: f64 = 0.5;
 
 fn wanders(p: &[f64]) -> bool {
@@ -76,8 +76,8 @@ impl Effect for RowNoise {
         wanders(p).then_some("in part shared by bands of rows")
     }
 
-    /// Noise that all rows of a frame share is no noise of rows: long bands move the mean of the frame as
-    /// much as its rows.
+    /// Noise shared by all rows of a frame is not row noise: long bands move the mean of the frame as much as
+    /// its rows.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         let bands_per_frame = -libm::log(p[3]) * seen.rows;
         let least = if p[2] > MOSTLY { MIN_BANDS } else { MIN_BANDS_BESIDE_ROWS };
@@ -94,7 +94,7 @@ impl Effect for RowNoise {
         ]
     }
 
-    /// Interference in bursts has few rows with all of it.
+    /// Interference in bursts is concentrated in few rows.
     fn told_by(&self) -> &'static [&'static str] {
         &["kurtosis of row means"]
     }

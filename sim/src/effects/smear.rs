@@ -15,8 +15,8 @@ impl Effect for Smear {
         &["vertical smear", "streak"]
     }
 
-    /// Global shutters of CMOS sensors have none, and one camera in three sold is a CCD (a named choice): 2
-    /// ln 3.
+    /// Returns 2 ln 3. Global shutters of CMOS sensors have no smear, and one camera in three sold is a CCD
+    /// (a named choice).
     fn rarer(&self) -> f64 {
         2.2
     }
@@ -66,7 +66,7 @@ impl Effect for Smear {
     }
 }
 
-/// Light for some more time in every frame, `by_s` at its exposure (s).
+/// Adds light for `by_s` of the exposure, s, to every frame.
 pub(super) fn longer(by_s: impl Fn(f64) -> f64, c: &Campaign, out: &mut Prediction) {
     let base = out.base.clone();
     let extra = |set: usize| c.sets.get(set).map_or(0.0, |s| by_s(s.exposure_s) * base.rate_e_per_s(s));

@@ -4,10 +4,10 @@ use super::{Campaign, Drawing, Effect, Needs, Page, Parameter, Plain, Prediction
 use crate::predict::Filter;
 use crate::quantize::Correction;
 
-/// The difference from a mean of the neighbours is enlarged (s above 0) or lessened.
+/// Filter that enlarges (s above 0) or reduces the difference from a mean of the neighbours.
 pub struct SpatialFilter;
 
-/// Share of the four diagonal neighbours in that mean: none, as the other four, half as much.
+/// Returns the share of the four diagonal neighbours in that mean: none, as the other four, half as much.
 fn diagonal(p: &[f64]) -> f64 {
     match p[1].round() as i32 {
         0 => 0.0,
@@ -16,12 +16,12 @@ fn diagonal(p: &[f64]) -> f64 {
     }
 }
 
-/// Whether the filter sees more than whole codes.
+/// Returns true if the input of the filter is finer than whole codes.
 fn fine(p: &[f64]) -> bool {
     p[2] >= 0.5
 }
 
-/// Weights of the kernel: its middle, four neighbours and four diagonal ones.
+/// Returns the weights of the kernel: its middle, four neighbours and four diagonal ones.
 fn weights(strength: f64, diagonal: f64) -> impl Iterator<Item = f64> {
     let of = move |share: f64| std::iter::repeat_n(-0.25 * strength * share, 4);
     std::iter::once(1.0 + strength).chain(of(1.0 - diagonal)).chain(of(diagonal))
@@ -63,7 +63,7 @@ impl Effect for SpatialFilter {
                 max: 2.0,
                 starts: &[0.0],
             },
-            // Of whole codes, or of samples with more bits than the codes that are sent.
+            // Input: whole codes, or samples with more bits than the output.
             Parameter {
                 name: "of",
                 meaning: "0: of whole codes, 1: before codes are rounded",
@@ -75,10 +75,10 @@ impl Effect for SpatialFilter {
         ]
     }
 
-    /// Each kernel, of whole codes and of finer ones.
+    /// Returns starts for each kernel, on whole codes and on finer samples.
     fn starts(&self, _: &Seen) -> Vec<Vec<f64>> {
         let weak = (0..6).map(|k| vec![0.05, f64::from(k % 3), f64::from(k / 3)]);
-        // The mean over 3 x 3 pixels by 1, 2, 1 is -0.75.
+        // The mean over 3 x 3 pixels with weights 1, 2, 1 has the strength -0.75.
         weak.chain([0.0, 1.0].map(|of| vec![-0.6, 2.0, of])).collect()
     }
 
@@ -124,20 +124,22 @@ impl Effect for SpatialFilter {
                 .for_each(|s| s.filter(&Filter::new(&power(strength)).of_weights(weights(strength, d))));
             return;
         }
-        // The offsets' pattern, which the darkest sets have alone, is not smooth as shading is.
+        // The pattern of the offsets, which alone is left in the darkest sets, is not smooth like shading.
         let known = c.sets.iter().map(|s| s.spread_dn).filter(|s| *s > 0.0);
         let pattern = known.fold(f64::INFINITY, f64::min).min(1e3);
         for (i, s) in out.sets.iter_mut().enumerate() {
-            // That of a long dark is of its dark current too.
+            // The pattern of a long dark includes its dark current.
             let dark = c.sets.get(i).filter(|s| s.light.is_none() && s.spread_dn > 0.0);
             let pattern = dark.map_or(pattern, |s| s.spread_dn);
-            // It adds floor(s (v - mean of neighbours) + 1/2) to every code: of four neighbours a quarter of s times a whole number.
+            // Every code gets floor(s (v - mean of neighbours) + 1/2): with four neighbours, a quarter of s
+            // times a whole number.
             let x = s.pixels();
             let (whole, square) = if d == 0.0 { (0.25, 20.0) } else { (0.125, 72.0) };
             let correction =
                 Correction::new(whole * strength, libm::sqrt(square * x), libm::sqrt(square) * pattern);
             let (slope, noise) = correction.linear();
-            // What passes thresholds by the pattern alone is known to half: of tails five places tell no more.
+            // The part that passes thresholds by the pattern alone is known to half: five places tell no more
+            // of tails.
             let (bare_slope, bare_noise) =
                 Correction::new(whole * strength, libm::sqrt(square * x), 0.0).linear();
             let by_pattern = (noise - bare_noise).abs() + 2.0 * x * (slope - bare_slope).abs() / whole;
@@ -147,11 +149,11 @@ impl Effect for SpatialFilter {
             s.filter(&Filter::new(&power(strength)).of_weights(weights(strength, d)));
             s.read.add_white(noise);
             s.moved = s.moved.max(correction.moves());
-            // Five places stand for the pattern of the levels: it is known to its own size only.
+            // Five places stand for the pattern of the levels: its part is known to its own size only.
             let unequal = correction.unequal(2.0 * x / whole);
             s.unequal += unequal;
             s.unsure = libm::hypot(s.unsure, unequal);
-            // The tails of narrow noise are not normal any more, as far as anything is moved.
+            // The tails of narrow noise are no longer normal where samples are moved.
             s.unsure_fourth = libm::hypot(s.unsure_fourth, 0.3 * moved * s.pixels().powi(2));
             // A few pixels whose level lies at a threshold are moved more than others.
             s.unsure = libm::hypot(s.unsure, 0.05 * moved * s.pixels().powi(2));

@@ -47,7 +47,7 @@ impl Effect for StrayLight {
         }
     }
 
-    /// Nothing: an even flat stays what it is, and what is in a scene is not known.
+    /// Predicts no change: an even flat stays the same, and the content of a scene is unknown.
     fn predict(&self, _: &[f64], _: &Campaign, _: &mut Prediction) {}
 
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {

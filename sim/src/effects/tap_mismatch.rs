@@ -5,7 +5,8 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 /// Gain and offset of half of the pixels differ from those of the rest.
 pub struct TapMismatch;
 
-/// Whether a pixel of (rows, columns) belongs to the second tap: right half, lower half, odd columns, odd rows.
+/// Returns true if a pixel of (rows, columns) belongs to the second tap: right half, lower half, odd columns,
+/// odd rows.
 fn second(kind: f64, (y, x): (usize, usize), (rows, columns): (usize, usize)) -> bool {
     match kind.round() as usize {
         0 => x >= columns / 2,
@@ -58,7 +59,7 @@ impl Effect for TapMismatch {
         ]
     }
 
-    /// Offsets that scatter by 1 DN, over halves of 5000 pixels: sqrt(2 / 5000) DN.
+    /// Error for offsets that scatter by 1 DN, over halves of 5000 pixels: sqrt(2 / 5000) DN.
     fn resolution(&self, parameter: usize, _: &[f64], _: &Seen) -> f64 {
         if parameter == 1 { 0.02 } else { 0.0 }
     }
@@ -83,7 +84,7 @@ impl Effect for TapMismatch {
     fn predict(&self, p: &[f64], _: &Campaign, out: &mut Prediction) {
         let tap = &mut out.taps[(p[2].round() as usize).min(3)];
         *tap = (tap.0 + p[0], tap.1 + p[1]);
-        // Half of the pixels: the mean follows by half.
+        // Half of the pixels change: the mean follows by half.
         for m in &mut out.frame_signal {
             *m += 0.5 * (p[0] * *m + p[1]);
         }

@@ -8,10 +8,10 @@ use std::collections::VecDeque;
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 
-/// A running average with weight 1 - alpha for the new frame, or the mean of the last few frames.
+/// Running average with weight 1 - alpha for the new frame, or mean of the last few frames.
 pub struct TemporalFilter;
 
-/// Names of the frames that a mean of the last ones keeps, the newest first.
+/// Memory names of the earlier frames of a mean of the last frames, the newest first.
 const FRAMES: [&str; 7] = [
     "temporal-filter 1",
     "temporal-filter 2",
@@ -23,58 +23,58 @@ const FRAMES: [&str; 7] = [
 ];
 /// Maximum number of frames of that mean.
 const MOST_FRAMES: usize = FRAMES.len() + 1;
-/// Largest mean whose noise behind a change of level is predicted, frames, and relative error of the noise of
-/// larger ones (a named choice: in the standard plan a mean of four moves the gain by 7 %).
+/// Largest mean, in frames, for which the noise after a change of level is predicted; and relative error of
+/// the noise of larger means (a named choice: in the standard plan a mean of four moves the gain by 7 %).
 const FOLLOWED: usize = 3;
 const UNSURE_NOISE: f64 = 0.3;
 /// Value of `kept` for the mean of the last frames.
 const MEAN_OF_LAST: f64 = 3.0;
-/// Least correlation of successive frames at which it is tried: a mean of two has 1/2, and few frames show less
-/// (a named choice).
+/// Minimum correlation of successive frames at which a mean of the last frames is tried: a mean of two has
+/// 1/2, and few frames show less (a named choice).
 const LEAST_CORRELATION: f64 = 0.3;
 
-/// The least weight of the frames before. A named choice: cameras have it in 256ths or tenths, and one that reduces noise has much more; what is left
-/// of a level in less than that is charge.
+/// Minimum weight of the earlier frames (a named choice). Cameras set it in 256ths or tenths, and a filter
+/// that reduces noise has much more. A smaller remainder of a level is charge.
 const LEAST: f64 = 1.0 / 256.0;
 
-/// What y_t = (1 - a) x_t + a y_(t-1) makes of independent noise: its variance, relative, and the correlations over 1, 2, ... frames
-/// (an autoregression of the first order: Box and Jenkins 1976, 3.2.3).
+/// Returns the relative variance of independent noise after y_t = (1 - a) x_t + a y_(t-1), and its
+/// correlations over 1, 2, ... frames (an autoregression of the first order: Box and Jenkins 1976, 3.2.3).
 pub(super) fn running_average(a: f64) -> (f64, Vec<f64>) {
     ((1.0 - a) / (1.0 + a), (1..=8).map(|k| libm::pow(a, f64::from(k))).collect())
 }
 
-/// Whether the camera keeps more than whole codes of the running mean.
+/// Returns true if the camera keeps the running mean finer than whole codes.
 fn fine(p: &[f64]) -> bool {
     p[1] >= 0.5
 }
 
-/// Whether the filter sees more than whole codes too.
+/// Returns true if the input of the filter is finer than whole codes too.
 fn sees_more(p: &[f64]) -> bool {
     p[1] >= 1.5 && frames_of_mean(p).is_none()
 }
 
-/// Number of frames that are averaged with equal weights; `None` of a running average.
+/// Returns the number of frames averaged with equal weights; `None` for a running average.
 fn frames_of_mean(p: &[f64]) -> Option<usize> {
     (p[1] >= MEAN_OF_LAST - 0.5).then(|| (p[2].round() as usize).clamp(2, MOST_FRAMES))
 }
 
-/// Relative variance of the mean of the last n frames of independent noise, and its correlations over 1, 2, ...
-/// frames (a moving average: Box and Jenkins 1976, 3.3).
+/// Returns the relative variance of the mean of the last n frames of independent noise, and its correlations
+/// over 1, 2, ... frames (a moving average: Box and Jenkins 1976, 3.3).
 fn moving_average(n: usize) -> (f64, Vec<f64>) {
     let n = n as f64;
     (n.recip(), (1..=8).map(|k| (1.0 - f64::from(k) / n).max(0.0)).collect())
 }
 
-/// Takes in a mean of the last n frames, rounded to whole codes.
+/// Applies a mean of the last n frames, rounded to whole codes.
 fn average_last(n: usize, c: &Campaign, out: &mut Prediction) {
     let (less, memory) = moving_average(n);
     for s in &mut out.sets {
-        // Statistics of noise leave out two frames behind a change of level. Later frames of larger means still
-        // have noise of the level before, which is not predicted.
+        // Noise statistics leave out two frames after a change of level. With larger means, later frames
+        // still have noise of the previous level, which is not predicted.
         let unsure = if n > FOLLOWED { UNSURE_NOISE * less * s.pixels() } else { 0.0 };
         s.unsure_var = libm::hypot(s.unsure_var, unsure);
         s.mix_in_time(less, &memory);
-        // Means of whole codes lie 1/n of a code apart before they are rounded.
+        // Means of whole codes lie 1/n of a code apart before rounding.
         s.read.add_white((1.0 - less * less) / 12.0);
     }
     let mut last: VecDeque<f64> = VecDeque::new();
@@ -101,9 +101,9 @@ fn average_last(n: usize, c: &Campaign, out: &mut Prediction) {
 
 /// A change of level between two frames, DN.
 struct Change<'a> {
-    /// Excess of the last frame over this one.
+    /// Level of the last frame less that of this one.
     away: f64,
-    /// Deviation of that from pixel to pixel, in these places.
+    /// Deviation of this difference from pixel to pixel, at these places.
     across: f64,
     places: &'a [f64; SHARES.len()],
     /// Noise of the two frames together.
@@ -111,46 +111,47 @@ struct Change<'a> {
 }
 
 impl Change<'_> {
-    /// What a filter that keeps whole codes adds to the mean, where the change is larger by `more`: floor(a u + 1/2) over the pixels.
+    /// Returns the addition to the mean by a filter that keeps whole codes, if the change is larger by
+    /// `more`: floor(a u + 1/2) over the pixels.
     fn step(&self, a: f64, more: f64) -> f64 {
         let correction = Correction::new(a, libm::hypot(self.noise, AROUND * self.across), 0.0);
         let at = |(x, share): (&f64, f64)| share * correction.mean(self.away + more + self.across * x);
         self.places.iter().zip(SHARES).map(at).sum()
     }
 
-    /// Its uncertainty, since where pixels lie is known as a few shares: to a seventh of their deviation (a named choice). In
-    /// proportion to the change nothing is lost by it.
+    /// Returns the uncertainty of this step. The pixels' levels are known at a few places: to a seventh of
+    /// their deviation (a named choice). A step in proportion to the change is not affected.
     fn unsure(&self, a: f64) -> f64 {
         let by = libm::hypot(self.noise, self.across) / 7.0;
         let away = 0.5 * (self.step(a, by) - self.step(a, -by)) - a * by;
-        // Nor, where there is little noise, on which side of a threshold whole codes lie.
+        // With little noise, the side of a threshold on which whole codes lie is unknown too.
         let whole = libm::exp(-0.5 * libm::pow(std::f64::consts::TAU, 2.0) * self.noise * self.noise);
         libm::hypot(away, whole / libm::sqrt(12.0))
     }
 }
 
-/// Deviation, from pixel to pixel, of the change from one set's level to another's, DN.
+/// Returns the pixel-to-pixel deviation of the change from one set's level to another's, DN.
 fn across(c: &Campaign, from: usize, from_dn: f64, to: usize, to_dn: f64) -> f64 {
     (c.sets[from].spread * from_dn - c.sets[to].spread * to_dn).abs()
 }
 
-/// What a filter that keeps whole codes adds to the frames of a set.
+/// Correction that a filter of whole codes adds to the frames of a set.
 struct Added {
-    /// Its slope on the noise.
+    /// Slope on the noise.
     slope: f64,
-    /// The variance of what it adds beside.
+    /// Variance of the remainder.
     noise: f64,
-    /// Share of the new frame's noise in that of its difference from the mean that is kept.
+    /// Share of the new frame's noise in that of its difference from the kept mean.
     share: f64,
     correction: Correction,
 }
 
-/// What becomes of the first frames of a set.
+/// First frames of a set.
 #[derive(Clone, Default)]
 struct First {
-    /// Whether the level still moves after the first.
+    /// True if the level still moves after the first frame.
     moves: bool,
-    /// Model uncertainty of the mean of the first, DN.
+    /// Model uncertainty of the mean of the first frame, DN.
     unsure_dn: f64,
 }
 
@@ -163,10 +164,10 @@ impl Added {
             Self { slope, noise, share: x / (x + before).max(f64::MIN_POSITIVE), correction }
         };
         if fine(p) {
-            // What is kept is the running mean itself, whatever of it is shown.
+            // The running mean itself is kept, however little of it is sent.
             return with(x * running_average(a).0);
         }
-        // What is kept has the noise that comes out.
+        // The kept mean has the noise of the output.
         let mut all = with(x);
         for _ in 0..7 {
             let square = all.slope * all.slope;
@@ -175,11 +176,12 @@ impl Added {
         all
     }
 
-    /// What it makes of the noise of a set.
+    /// Applies the correction to the noise of a set.
     fn change(&self, s: &mut SetPrediction, p: &[f64], first: &First) {
         let (a, slope) = (p[0], self.slope);
         if fine(p) {
-            // o_t = (1 - s) x_t + s y_(t-1) and noise, y the running mean with variance v: cov(o_t, y_t) is carried on by s a^(k-1).
+            // o_t = (1 - s) x_t + s y_(t-1) and noise, y the running mean with variance v; cov(o_t, y_t) is
+            // carried on by s a^(k-1).
             let (v, _) = running_average(a);
             let less = (1.0 - slope) * (1.0 - slope) + slope * slope * v;
             let carried = slope * ((1.0 - slope) * (1.0 - a) + slope * a * v) / less;
@@ -193,15 +195,17 @@ impl Added {
         }
         s.moved = s.moved.max(self.correction.moves());
         if first.moves {
-            // While the level still moves, rounding follows the noise of one frame in a few with the density of alpha u at a threshold
-            // in place of its mean, 1: up to (2 pi)^(-1/2) / sd, and the variance by twice that.
+            // While the level still moves, rounding follows the noise of one frame in a few with the density
+            // of alpha u at a threshold in place of its mean, 1: up to (2 pi)^(-1/2) / sd. The variance
+            // follows with twice that.
             let x = s.pixels();
             let slope = 1.0 / libm::sqrt(std::f64::consts::TAU * x.max(1.0));
             s.unsure_moving = libm::hypot(s.unsure_moving, 2.0 * slope * x / 3.0);
         }
         s.unsure_first = libm::hypot(s.unsure_first, first.unsure_dn);
-        // Only what lies far off is moved, and towards the rest: tails are short. Of a mean that is kept in parts of a code the frame before
-        // is not what is kept: what both share is not predicted, and it is as much again.
+        // Only samples far from the mean are moved, and towards it: tails become short. If the mean is kept
+        // in parts of a code, the previous frame is not the kept mean; the part that both share is not
+        // predicted and is as large again.
         let [fourth, shared @ ..] = self.correction.fourth(self.share);
         s.fourth += fourth;
         let of_frames = if fine(p) {
@@ -210,26 +214,27 @@ impl Added {
             s.fourth_next = shared;
             0.2
         };
-        // On which side of a threshold whole codes lie differs from pixel to pixel.
+        // The side of a threshold on which whole codes lie differs from pixel to pixel.
         s.unsure_fourth = libm::hypot(s.unsure_fourth, of_frames * fourth);
         s.unsure = libm::hypot(s.unsure, 0.2 * fourth);
     }
 }
 
-/// What is left in the running mean of the level before the set's.
+/// Remainder in the running mean of the level before the set's.
 struct Carried<'a> {
-    /// Its deviation from pixel to pixel, in these places, DN.
+    /// Deviation of the remainder from pixel to pixel, at these places, DN.
     across: f64,
     places: &'a [f64; SHARES.len()],
     /// Variance of its noise, DN^2.
     before: f64,
 }
 
-/// Deviation of what is left of a change, times alpha, in codes, below which it no longer decides which codes are kept: a rounded mean keeps
-/// 0.95 of its sawtooth, exp(-2 pi^2 0.05^2) (Widrow and Kollar 2008, ch. 4).
+/// Deviation of the remainder of a change, times alpha, in codes, below which it no longer decides which
+/// codes are kept: a rounded mean keeps 0.95 of its sawtooth, exp(-2 pi^2 0.05^2) (Widrow and Kollar 2008,
+/// ch. 4).
 const FORGOTTEN: f64 = 0.05;
 
-/// Moves the means of all frames in the order of time; what becomes of the first frames of each set.
+/// Moves the means of all frames in the order of time; returns the changes of the first frames of each set.
 fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -> Vec<First> {
     let a = p[0];
     let mut firsts = vec![First::default(); added.len()];
@@ -260,8 +265,8 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
         let own = of_set.noise + sets[frame.set].pixels();
         let step = if set == Some(frame.set) {
             let step = match &mut carried {
-                // What is left of the change differs from pixel to pixel as the change did, and has the noise of the level before. Where noise
-                // of its own passes many thresholds both are the same as none.
+                // The remainder of the change differs from pixel to pixel as the change did, and has the
+                // noise of the previous level. Neither matters if the set's own noise passes many thresholds.
                 Some(left) if of_set.correction.narrow() > 0.0 => {
                     (left.across, left.before) = (a * left.across, a * a * left.before);
                     let noise = libm::sqrt(of_set.correction.variance() + left.before);
@@ -284,7 +289,7 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
                 places: &c.sets[if away > 0.0 { from } else { frame.set }].places,
             };
             first.unsure_dn = libm::hypot(first.unsure_dn, change.unsure(a));
-            // A mean that is kept in parts of a code is not rounded from frame to frame.
+            // A mean kept in parts of a code is not rounded from frame to frame.
             carried = (!fine(p)).then_some(Carried {
                 across: change.across,
                 before: before_var,
@@ -326,7 +331,8 @@ impl Effect for TemporalFilter {
                 max: 0.9,
                 starts: &[0.05],
             },
-            // Whole codes, parts of a code, parts of a code of samples with more bits than the codes that are sent.
+            // Mean in whole codes; in parts of a code; in parts of a code from samples with more bits than
+            // the output.
             Parameter {
                 name: "kept",
                 meaning: "0: the mean is kept in whole codes, 1: in parts of a code, 2: of samples with more bits than are sent; 3: the mean of the \
@@ -372,7 +378,7 @@ impl Effect for TemporalFilter {
         (parameter == 2).then_some(2.0)
     }
 
-    /// Less than that is the charge that a pixel keeps.
+    /// A smaller weight is charge that a pixel keeps.
     fn is_another(&self, p: &[f64], _: &Seen) -> bool {
         frames_of_mean(p).is_none() && p[0] < LEAST
     }
@@ -437,13 +443,13 @@ impl Effect for TemporalFilter {
             }
             return;
         }
-        // It adds floor(alpha (last - now) + 1/2) to every code, whether what it keeps is rounded or not.
+        // Every code gets floor(alpha (last - now) + 1/2), whether the kept mean is rounded or not.
         let added: Vec<Added> = out.sets.iter().map(|s| Added::to(s, p)).collect();
         let firsts = move_frames(p, c, out, &added);
         for ((s, added), first) in out.sets.iter_mut().zip(&added).zip(&firsts) {
             added.change(s, p, first);
         }
-        // Whole codes came in, and what is added is whole.
+        // The input is whole codes, and so is the correction.
         out.whole = true;
     }
 
@@ -476,7 +482,7 @@ mod tests {
     use crate::normal::NORMAL;
     use crate::rng::{PixelRng, Stream};
 
-    /// Against drawn pixels: a million of each, within what is said not to be known and five standard errors.
+    /// Compared with 10^6 drawn pixels each; tolerance: the stated uncertainty and five standard errors.
     #[test]
     fn a_change_of_level_is_what_pixels_show() {
         let n = 1_000_000;

@@ -20,7 +20,7 @@ pub enum Before {
 /// A frame of a campaign.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameInfo {
-    /// Place of its set in [`Campaign::sets`].
+    /// Index of its set in [`Campaign::sets`].
     pub set: usize,
     /// Start of its exposure, s from the start of the campaign.
     pub time_s: f64,
@@ -33,24 +33,24 @@ pub struct FrameInfo {
 pub struct SetInfo {
     /// Exposure, s.
     pub exposure_s: f64,
-    /// Electrons per pixel and second from the light, by which lamp level; `None`: dark.
+    /// Index of the lamp level that gives the electrons per pixel and second; `None`: dark.
     pub light: Option<usize>,
     /// Light relative to the campaign's unit.
     pub illumination: f64,
-    /// Light of this set over that of its lamp level: 1 where every level has a light of its own.
+    /// Light of this set over that of its lamp level: 1 if every level has a light of its own.
     pub light_ratio: f64,
     /// Spatial deviation of the signal over its mean.
     pub spread: f64,
     /// Spatial deviation of the level, fixed pattern of the offset included, DN.
     pub spread_dn: f64,
-    /// Deviations of the pixels' levels from the mean at the places whose shares are [`PLACES`].
+    /// Levels of the groups of pixels with the shares [`PLACES`], in deviations from the mean.
     pub places: [f64; PLACES.len()],
 }
 
 /// Settings of a campaign that a prediction needs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Campaign {
-    /// Frames in the order of time, those that are not looked at (scenes) included.
+    /// Frames in the order of time, including those not analysed (scenes).
     pub frames: Vec<FrameInfo>,
     /// Sets.
     pub sets: Vec<SetInfo>,
@@ -58,17 +58,17 @@ pub struct Campaign {
     pub shape: (usize, usize),
     /// Largest code, DN.
     pub full_scale_dn: f64,
-    /// True if levels count from code 0; false for tables, whose level without light was taken off.
+    /// True if levels count from code 0; false for tables whose dark level was subtracted.
     pub from_code_0: bool,
-    /// Usual time from the end of a frame to the end of the next, s.
+    /// Typical time from the end of a frame to the end of the next, s.
     pub frame_s: f64,
-    /// The strongest line that the noise's spectrum has in read-out order, cycles per pixel.
+    /// Strongest line of the noise spectrum in read-out order, cycles per pixel.
     pub line_cycles_per_px: Option<f64>,
-    /// Noise of the ordinary pixels in darks, where darks show it.
+    /// Noise of the ordinary pixels in darks, if darks show it.
     pub ordinary: Option<Ordinary>,
 }
 
-/// Dark noise of the pixels without the few that are far noisier than the others, before rounding.
+/// Dark noise of the ordinary pixels, without the few far noisier ones, before rounding.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ordinary {
     /// Mean of their variances, DN^2.
@@ -78,15 +78,16 @@ pub struct Ordinary {
 }
 
 impl Ordinary {
-    /// Ordinary pixels of darks, from the median of the pixels' variances (DN^2), the standard deviation of the
-    /// logarithm of their noise, and the mean level and spread of the darks (DN).
+    /// Derives the noise of the ordinary pixels from darks: from the median of the pixels' variances (DN^2),
+    /// the standard deviation of the logarithm of their noise, and the mean level and spread of the darks
+    /// (DN).
     ///
-    /// Rounding adds 1/12 where the noise is a code or more; below that it follows the place between two codes
-    /// (Widrow and Kollar 2008, ch. 4), and is taken off as it is at the level of these darks. Variances are
-    /// log-normal (Johnson, Kotz and Balakrishnan 1994, ch. 14).
+    /// Rounding adds 1/12 if the noise is a code or more. Below that the addition depends on the place
+    /// between two codes (Widrow and Kollar 2008, ch. 4), and is subtracted as it is at the level of these
+    /// darks. Variances are log-normal (Johnson, Kotz and Balakrishnan 1994, ch. 14).
     pub fn of_darks(median_dn2: f64, log_spread: f64, level_dn: f64, spread_dn: f64) -> Self {
         let shown = |variance: f64| {
-            // The level is measured once it is rounded.
+            // The level is measured after rounding.
             let mut level = level_dn;
             for _ in 0..LEVEL_ROUNDS {
                 level = level_dn - rounded(level, spread_dn, variance).mean;
@@ -107,8 +108,8 @@ impl Ordinary {
         Self { variance_dn2: median * libm::exp(0.5 * square), spread: libm::expm1(square) }
     }
 
-    /// Variance of their noise and its spread over the pixels, where all pixels have this variance and this part
-    /// of it is read noise, in squares of the code's step.
+    /// Returns the variance of the ordinary pixels' noise and its spread over the pixels, given the variance
+    /// of all pixels and the part of it that is read noise, in squares of the code's step.
     pub(super) fn of(self, variance: f64, read: f64, step: f64) -> (f64, f64) {
         let dark = (self.variance_dn2 / (step * step)).clamp(0.1 * read, read);
         let own = variance - read + dark;
@@ -116,20 +117,20 @@ impl Ordinary {
     }
 }
 
-/// Rounds after which a level before rounding is known to a hundredth of a code.
+/// Number of iterations after which a level before rounding is known to a hundredth of a code.
 const LEVEL_ROUNDS: usize = 5;
-/// Minimum variance that is told from none, DN^2 (a named choice: a tenth of a code).
+/// Minimum variance that differs from none, DN^2 (a named choice: a tenth of a code).
 const LEAST_VARIANCE: f64 = 0.01;
-/// Maximum variance of the logarithm of the pixels' variances (a named choice: a factor of two in noise either
-/// way).
+/// Maximum variance of the logarithm of the pixels' variances (a named choice: a factor of two in noise
+/// either way).
 const LARGEST_SPREAD: f64 = 2.0;
 
-/// Maximum noise variance, codes squared, at which the spread of levels is corrected for rounding. The slope of
-/// a rounded level differs from 1 by at most 2 exp(-2 pi^2 variance) (Widrow and Kollar 2008, ch. 4).
+/// Maximum noise variance, codes squared, at which the spread of levels is corrected for rounding. The slope
+/// of a rounded level differs from 1 by at most 2 exp(-2 pi^2 variance) (Widrow and Kollar 2008, ch. 4).
 const LEAVES_SPREAD: f64 = 0.2;
 
-/// Spread of the pixels' levels before rounding, from the spread of their measured means, in steps. Close to
-/// the edge between two codes little noise makes small differences large.
+/// Returns the spread of the pixels' levels before rounding, from the spread of their measured means, in
+/// steps. Close to the edge between two codes, rounding of little noise enlarges small differences.
 pub(super) fn before_rounding(level: f64, measured: f64, variance: f64) -> f64 {
     if variance > LEAVES_SPREAD {
         return measured;
@@ -137,5 +138,5 @@ pub(super) fn before_rounding(level: f64, measured: f64, variance: f64) -> f64 {
     (0..SPREAD_ROUNDS).fold(measured, |spread, _| measured / rounded(level, spread, variance).slope.max(1.0))
 }
 
-/// Rounds after which the spread is known to some per cent.
+/// Number of iterations after which the spread is known to some per cent.
 const SPREAD_ROUNDS: usize = 6;

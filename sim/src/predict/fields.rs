@@ -1,11 +1,11 @@
-//! Shapes of the field that every frame takes anew: it tilts, or it bends.
+//! Field shapes that are drawn anew for every frame: a gradient (tilt) and a curvature (bend).
 
 /// Shapes along an axis: half a turn of a cosine over all lines (a gradient), and one turn (a curvature).
 pub const SHAPES: usize = 2;
 
-/// Variance of the gradient and of the curvature of frames, DN^2: the mean over the pixels of what each adds to
-/// the noise of a pixel. Both are cosines of the discrete cosine transform (Ahmed, Natarajan and Rao 1974, IEEE
-/// Trans. Comput. C-23, 90), of mean 0.
+/// Variance of the gradient and of the curvature of frames, DN^2: the mean over the pixels of what each adds
+/// to the noise of a pixel. Both are cosines of the discrete cosine transform (Ahmed, Natarajan and Rao 1974,
+/// IEEE Trans. Comput. C-23, 90), of mean 0.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Fields {
     /// Down the rows.
@@ -20,38 +20,41 @@ impl Fields {
         self.down.iter_mut().chain(&mut self.across).for_each(|v| *v *= square);
     }
 
-    /// Sum of all of them, DN^2.
+    /// Returns the sum of all variances, DN^2.
     pub fn variance(&self) -> f64 {
         self.of_rows() + self.of_columns()
     }
 
-    /// Sum of their squares, DN^4: the mean over pairs of pixels of the square of their covariance.
+    /// Returns the sum of their squares, DN^4: the mean over pairs of pixels of the square of their
+    /// covariance.
     pub fn squares(&self) -> f64 {
         self.down.iter().chain(&self.across).map(|v| v * v).sum()
     }
 
-    /// Part of it that the means of rows have, DN^2.
+    /// Returns the part of the variance that the means of rows have, DN^2.
     pub fn of_rows(&self) -> f64 {
         self.down.iter().sum()
     }
 
-    /// Part of it that the means of columns have, DN^2.
+    /// Returns the part of the variance that the means of columns have, DN^2.
     pub fn of_columns(&self) -> f64 {
         self.across.iter().sum()
     }
 
-    /// Covariance of the means of rows so far apart, of `rows` of them, DN^2: the mean over all such pairs.
+    /// Returns the covariance of the means of rows `apart` rows apart, DN^2: the mean over all such pairs of
+    /// `rows` rows.
     pub fn rows_apart(&self, apart: usize, rows: usize) -> f64 {
         apart_by(&self.down, apart, rows)
     }
 
-    /// Covariance of the means of columns so far apart, of `columns` of them, DN^2.
+    /// Returns the covariance of the means of columns `apart` columns apart, DN^2: the mean over all such
+    /// pairs.
     pub fn columns_apart(&self, apart: usize, columns: usize) -> f64 {
         apart_by(&self.across, apart, columns)
     }
 
-    /// Variance of what the halves of a frame differ by, DN^2: the second half of its rows less the first, or of
-    /// its columns. A curvature is the same in both.
+    /// Returns the variance of the difference between the halves of a frame, DN^2: the second half of its
+    /// rows less the first, or of its columns. A curvature is the same in both.
     pub fn halves(&self, is_of_rows: bool, lines: usize) -> f64 {
         let [gradient, _] = if is_of_rows { self.down } else { self.across };
         // The mean of root 2 cos(a (y + 1/2)) over half of the lines is root 2 / (n sin(a / 2)), a = pi / n.
@@ -73,7 +76,7 @@ fn apart_by(variances: &[f64; SHAPES], apart: usize, lines: usize) -> f64 {
     variances.iter().enumerate().filter(|(_, v)| **v != 0.0).map(|(k, v)| v * of(k + 1)).sum()
 }
 
-/// Cosine of so many half turns over all lines, at one of them; of mean square 1.
+/// Returns the cosine of `halves` half turns over all lines, at one of them; of mean square 1.
 pub fn cosine(halves: u32, line: usize, lines: usize) -> f64 {
     let turn = std::f64::consts::PI * f64::from(halves) / lines as f64;
     std::f64::consts::SQRT_2 * libm::cos(turn * (line as f64 + 0.5))
@@ -83,7 +86,7 @@ pub fn cosine(halves: u32, line: usize, lines: usize) -> f64 {
 mod tests {
     use super::*;
 
-    /// Covariances, halves and powers are those of the shapes themselves.
+    /// Covariances, halves and powers equal those of the shapes themselves.
     #[test]
     fn formulas_are_those_of_the_shapes() {
         let lines = 48;

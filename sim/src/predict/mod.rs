@@ -1,4 +1,4 @@
-//! Expected statistics of a whole campaign: what every model must say before it is compared with measurements.
+//! Expected statistics of a whole campaign: a model's predictions, to be compared with measurements.
 
 mod campaign;
 mod fields;
@@ -14,15 +14,15 @@ pub use campaign::{Before, Campaign, FrameInfo, Ordinary, SetInfo};
 pub use fields::{Fields, SHAPES, cosine};
 pub use set::{SetPrediction, TwoLevels};
 
-/// The paper's parameters as a campaign sees them.
+/// Parameters of the paper's model, for a campaign.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BaseParameters {
     /// A, DN/e.
     pub gain_dn_per_e: f64,
     /// Read noise, root mean square over the pixels, e.
     pub read_noise_e: f64,
-    /// Spread of the read noise over the pixels: variance of the pixels' read-noise variances over the square of
-    /// their mean; 0 for pixels that are alike.
+    /// Spread of the read noise over the pixels: variance of the pixels' read-noise variances over the square
+    /// of their mean; 0 for pixels that are alike.
     pub read_noise_spread: f64,
     /// Black level at zero exposure, DN.
     pub offset_dn: f64,
@@ -32,40 +32,39 @@ pub struct BaseParameters {
     pub flux_e_per_s: Vec<f64>,
     /// Signal of the frames before the first, e, for effects with memory; `None`: nothing was exposed.
     pub past_e: Option<f64>,
-    /// Relative scatter of the light from setting to setting that is expected of it; `None`: every setting is
-    /// what is stated.
+    /// Expected relative scatter of the light from setting to setting; `None`: every setting is as stated.
     pub setting_rel: Option<f64>,
-    /// The light monitor, where there is one.
+    /// Light monitor, if there is one.
     pub monitor: Option<Monitor>,
-    /// Cut of noise below code 0, as a converter makes it. False where a diagnosis asks for a black level that is
-    /// too low: only black-clipping brings the cut then.
+    /// True if noise is cut below code 0, as by a converter. False if a diagnosis looks for a black level
+    /// that is too low: only black-clipping cuts then.
     pub cut_at_0: bool,
 }
 
 /// A light monitor beside the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Monitor {
-    /// Logarithm of its reading for one electron of light.
+    /// Logarithm of the reading for one electron of light.
     pub ln_per_e: f64,
-    /// Relative scatter of its readings.
+    /// Relative scatter of the readings.
     pub rel: f64,
 }
 
 impl BaseParameters {
-    /// Electrons per pixel and second that light brings to a set.
+    /// Returns the light of a set, electrons per pixel and second.
     pub fn rate_e_per_s(&self, set: &SetInfo) -> f64 {
         set.light.and_then(|l| self.flux_e_per_s.get(l)).copied().unwrap_or(0.0) * set.light_ratio
     }
 }
 
-/// Everything that is expected.
+/// Expected statistics of a campaign.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
     /// Mean of every frame: e before the amplifier, DN (with the offset) at the end.
     pub frame_signal: Vec<f64>,
     /// Statistics of every set.
     pub sets: Vec<SetPrediction>,
-    /// Light of every set's settled frames as a monitor beside the camera sees it, e.
+    /// Light of every set's settled frames for a monitor beside the camera, e.
     pub light_e: Vec<f64>,
     /// Base parameters in force.
     pub base: BaseParameters,
@@ -73,40 +72,41 @@ pub struct Prediction {
     pub bit_errors_dn: [f64; BITS],
     /// Distance of successive codes, DN.
     pub code_step_dn: f64,
-    /// A code from which all others are whole numbers of steps away, DN.
+    /// Code from which all others are whole numbers of steps away, DN.
     pub code_zero_dn: f64,
     /// True if firmware has rounded to whole codes already.
     pub whole: bool,
-    /// Nothing lies below this level, DN above the black level.
+    /// Lowest possible level, DN above the black level.
     pub floor_dn: f64,
-    /// Cut of noise below code 0.
+    /// True if noise is cut below code 0.
     pub cut_at_0: bool,
-    /// Gain of the right half over the left, minus 1, and its offset, DN; of the lower half over the upper; of odd columns over even
-    /// ones; of odd rows.
+    /// Gain ratio less 1, and offset in DN, of one part against the other: right half against left, lower
+    /// against upper, odd columns against even, odd rows against even.
     pub taps: [(f64, f64); 4],
     /// Light collected while charge is moved through the image, s of exposure.
     pub smear_s: f64,
-    /// From this charge on a pixel spills into its column, e.
+    /// Charge above which a pixel spills into its column, e.
     pub bloom_e: f64,
-    /// No pixel holds more than this charge, e.
+    /// Maximum charge of a pixel, e.
     pub well_e: f64,
 }
 
-/// Bits of a code at most.
+/// Maximum number of bits of a code.
 pub const BITS: usize = 16;
 
-/// Relative error of a curve averaged over a few places of the field (a named choice: the field of shading is
+/// Relative error of a curve averaged over a few levels of the field (a named choice: the field of shading is
 /// not normal).
 const OF_PLACES: f64 = 0.1;
 
-/// Deviation of a rounded mean from the level, in steps, for noise of this variance in squares of the step: the first term of the
-/// characteristic function, as a root mean square over all levels (Widrow and Kollar 2008, ch. 4).
+/// Returns the deviation of a rounded mean from the level, in steps, for noise of this variance in squares of
+/// the step: the first term of the characteristic function, as a root mean square over all levels (Widrow and
+/// Kollar 2008, ch. 4).
 pub(crate) fn quantised_mean(variance: f64) -> f64 {
     let square = std::f64::consts::PI * std::f64::consts::PI;
     libm::exp(-2.0 * square * variance.max(0.0)) / (std::f64::consts::PI * std::f64::consts::SQRT_2)
 }
 
-/// Root mean square of what is left of values at [`PLACES`] beside a straight line.
+/// Returns the root mean square of the residuals of values at [`PLACES`] about a straight line.
 fn off_a_line(places: &[f64; PLACES.len()], values: &[f64]) -> f64 {
     let all = || places.iter().zip(PLACES).zip(values);
     let mean = |of: &dyn Fn(f64, f64) -> f64| all().map(|((x, share), v)| share * of(*x, *v)).sum::<f64>();
@@ -136,7 +136,7 @@ impl Prediction {
         self.light_e.get(set) == other.light_e.get(set) && self.sets.get(set) == other.sets.get(set)
     }
 
-    /// Light and dark charge of every frame and set, no noise yet.
+    /// Starts with the light and dark charge of every frame and set, without noise.
     pub(crate) fn begin(c: &Campaign, base: &BaseParameters) -> Self {
         let light = |s: &SetInfo| base.rate_e_per_s(s) * s.exposure_s;
         let light_e: Vec<f64> = c.sets.iter().map(light).collect();
@@ -173,7 +173,7 @@ impl Prediction {
         let square = step * step;
         let mut shifts = vec![0.0; self.sets.len()];
         let taps = self.taps;
-        // Of steps between several kinds of parts the largest.
+        // The largest of the steps between several kinds of parts counts.
         let apart = |signal: f64| {
             let steps = taps.map(|(gain, offset)| gain * signal + offset);
             steps.into_iter().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a })
@@ -182,7 +182,7 @@ impl Prediction {
         for (i, s) in self.sets.iter_mut().enumerate() {
             let variance = s.covariance(0, 0) / square;
             let unlike = s.unequal.max(0.0) / (square * variance * square * variance).max(f64::MIN_POSITIVE);
-            // A few noisy pixels make the spread large, and leave the rounding of the others as it is.
+            // A few noisy pixels make the spread large, but do not change the rounding of the others.
             let (own, unlike) = match c.ordinary {
                 Some(ordinary) => {
                     ordinary.of(variance, (s.read.lag(0, 0) / square).min(variance).max(0.0), step)
@@ -192,10 +192,11 @@ impl Prediction {
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
             let level = (s.signal + self.base.offset_dn - self.code_zero_dn) / step;
             let rounded = if may_be_clipped && reaches_zero(level, spread, places, variance) {
-                // Levels are measured once they are clipped: before, they lie further apart, by the share of the pixels that is not clipped.
+                // Levels are measured after clipping. Before it their spread is larger, by the inverse share
+                // of the pixels that are not clipped.
                 let slope = upper(-level / libm::sqrt(variance + spread * spread).max(0.02));
                 let found = rounded_from_zero(level, spread / slope.clamp(0.3, 1.0), places, variance);
-                // The pixels' places are known as a few shares.
+                // The pixels' levels are known at a few places only.
                 s.unsure = libm::hypot(s.unsure, 0.3 * square * square * found.unequal);
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.02 * step * found.mean.abs());
                 found
@@ -210,7 +211,8 @@ impl Prediction {
             };
             shifts[i] = step * rounded.mean;
             s.uneven = libm::hypot(s.uneven, step * quantised_mean(variance));
-            // What pixels or frames share comes through with the slope; what each has of its own, with the whole of its variance.
+            // Noise that pixels or frames share is multiplied by the slope; the own noise of each keeps its
+            // whole variance.
             let through = rounded.slope * rounded.slope;
             let mut kept = 0.0;
             if through != 1.0 {
@@ -233,7 +235,7 @@ impl Prediction {
         }
     }
 
-    /// Multiplies the image by a number: the amplifier.
+    /// Multiplies the image by a number, the gain of the amplifier.
     pub(crate) fn amplify(&mut self, gain: f64) {
         self.frame_signal.iter_mut().for_each(|s| *s *= gain);
         for s in &mut self.sets {
@@ -242,11 +244,12 @@ impl Prediction {
         }
     }
 
-    /// Applies a curve to every pixel: to the noise of each with the slope that the noise itself sees, and over the pixels' places.
+    /// Applies a curve to every pixel: the noise of each gets the slope averaged over the noise, and the
+    /// level is averaged over the pixels' places.
     pub fn bend(&mut self, c: &Campaign, curve: impl Fn(f64) -> f64) {
         let before: Vec<f64> = self.sets.iter().map(|s| s.signal).collect();
         let noise: Vec<f64> = self.sets.iter().map(|s| libm::sqrt(s.covariance(0, 0).max(1e-6))).collect();
-        // Mean, and variance over that before, of a pixel at a level.
+        // Mean of a pixel at a level, and its variance over that before.
         let pixel = |level: f64, sd: f64| {
             let all = NODES.map(|(x, share)| (curve(level + sd * x), share));
             let mean: f64 = all.iter().map(|(v, share)| share * v).sum();
@@ -267,7 +270,7 @@ impl Prediction {
             let own = s.pixels();
             let level = s.signal;
             s.signal = all.iter().map(|(share, mean, _)| share * mean).sum();
-            // The field's part in a bend is known from a few places only.
+            // The field's part of a bend is known at a few places only.
             s.unsure_mean =
                 libm::hypot(s.unsure_mean, OF_PLACES * (s.signal - pixel(level, noise[set]).0).abs());
             let bent: Vec<f64> = all.iter().map(|(_, mean, _)| mean - s.signal).collect();
@@ -328,9 +331,9 @@ mod tests {
         }
     }
 
-    /// Pixels of 0.02 codes of spread and 0.06 codes of noise, next to the edge between two codes and far from it. Their
-    /// rounded means are known from the error function; the spread is found to a tenth where rounding enlarges it, and
-    /// is at most as measured elsewhere.
+    /// Pixels of 0.02 codes of spread and 0.06 codes of noise, next to the edge between two codes and far
+    /// from it. Their rounded means are known from the error function; the spread is found to a tenth where
+    /// rounding enlarges it, and is at most as measured elsewhere.
     #[test]
     fn spread_before_rounding_is_found_from_rounded_means() {
         let (spread, noise) = (0.02f64, 0.06f64);

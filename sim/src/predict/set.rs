@@ -1,4 +1,4 @@
-//! Expected moments of one set, and what effects and rounding do to them.
+//! Expected moments of one set, and their change by effects and rounding.
 
 use super::{Fields, Filter, LineNoise, OF_PLACES, PLACES, Ripple, Spectrum, off_a_line};
 use crate::clipping::Clipped;
@@ -6,7 +6,7 @@ use crate::clipping::Clipped;
 /// Pixels that jump between two levels.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct TwoLevels {
-    /// Their share.
+    /// Share of these pixels.
     pub share: f64,
     /// Variance of the jumps, the mean over these pixels, e^2, then DN^2.
     pub variance: f64,
@@ -14,13 +14,13 @@ pub struct TwoLevels {
     pub spread: f64,
     /// Correlation of a pixel's level with that of the next frame.
     pub stays: f64,
-    /// The amplitudes have an exponential distribution over these pixels; else they are all the same.
+    /// True if the amplitudes have an exponential distribution over these pixels; else they are all the same.
     pub differ: bool,
 }
 
 /// Expected statistics of one set.
 ///
-/// What acts on the whole image acts through one operation on all parts of it: [`gain`](Self::gain), [`filter`](Self::filter),
+/// Operations on the whole image act on all its parts: [`gain`](Self::gain), [`filter`](Self::filter),
 /// [`mix_in_time`](Self::mix_in_time).
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetPrediction {
@@ -36,24 +36,24 @@ pub struct SetPrediction {
     pub column: LineNoise,
     /// Slow changes from row to row within a frame: variance and spectrum.
     pub ripples: Vec<(f64, Ripple)>,
-    /// Shapes that the field of every frame takes anew.
+    /// Field shapes that are drawn anew for every frame.
     pub fields: Fields,
     /// Variance common to the pixels of a frame.
     pub common: f64,
-    /// The part of it that follows the light of each pixel: where the field is dark it is less.
+    /// Part of `common` that follows the light of each pixel: less where the field is dark.
     pub with_light: f64,
-    /// Variance common to all frames of the set, against other sets.
+    /// Variance common to all frames of the set, relative to other sets.
     pub setting: f64,
-    /// Correlation of the noise with that of the frame 1, 2, ... later: of shot noise, of read noise.
+    /// Correlation of the shot noise with that of the frame 1, 2, ... later.
     pub shot_memory: Vec<f64>,
-    /// See `shot_memory`.
+    /// Correlation of the read noise with that of the frame 1, 2, ... later.
     pub read_memory: Vec<f64>,
-    /// Variance, from pixel to pixel, of their noise's variance, e^4, then DN^4 (0 for pixels that are alike).
+    /// Pixel-to-pixel variance of the noise variance, e^4, then DN^4 (0 for pixels that are alike).
     pub unequal: f64,
-    /// Fourth cumulant of the pixels' noise, the mean over all of them, e^4, then DN^4 (0 for normal noise).
+    /// Mean over the pixels of the fourth cumulant of their noise, e^4, then DN^4 (0 for normal noise).
     pub fourth: f64,
-    /// Fourth cumulants of a pixel's noise in two successive frames, DN^4: three of the later and one of the earlier, two of each, one and
-    /// three; the mean over all pixels.
+    /// Mean over the pixels of the fourth cumulants of their noise in two successive frames, DN^4: three of
+    /// the later and one of the earlier, two of each, one and three.
     pub fourth_next: [f64; 3],
     /// Pixels that jump between two levels.
     pub two_levels: TwoLevels,
@@ -61,32 +61,33 @@ pub struct SetPrediction {
     pub unsure: f64,
     /// Model uncertainty of variance and covariances, e^2, then DN^2.
     pub unsure_var: f64,
-    /// Model uncertainty of the variance alone, beside that: what single pixels have of their own, e^2, then DN^2.
+    /// Model uncertainty of the variance alone, beside `unsure_var`: of the pixels' own noise, e^2, then
+    /// DN^2.
     pub unsure_own: f64,
-    /// Model uncertainty of the variance while the level still moves, e^2, then DN^2.
+    /// Model uncertainty of the variance while the level still changes, e^2, then DN^2.
     pub unsure_moving: f64,
     /// Standard error of the mean of the pixels' fourth cumulants, DN^4.
     pub unsure_fourth: f64,
     /// Model uncertainty of the mean of the first frame of a set, DN.
     pub unsure_first: f64,
-    /// Share of the samples that are moved by whole codes after conversion.
+    /// Share of the samples that are changed by whole codes after conversion.
     pub moved: f64,
     /// Model uncertainty of the mean, e, then DN.
     pub unsure_mean: f64,
-    /// What a pixel's mean may deviate by from an offset and a gain of its own, one standard deviation, e, then DN.
+    /// Deviation of a pixel's mean from an offset and a gain of its own, one standard deviation, e, then DN.
     pub uneven: f64,
     /// Lines in the spectrum: (variance, phase from column to column, phase from row to row), radians.
     pub lines: Vec<(f64, f64, f64)>,
-    /// Change of the neighbour covariances per unit of distance from the output, as a share of the shot variance: along rows,
-    /// along columns, over the whole sensor.
+    /// Change of the neighbour covariances per unit of distance from the output, as a share of the shot
+    /// variance: along rows, along columns, over the whole sensor.
     pub growth: (f64, f64),
-    /// Covariance with the next column from odd columns less that from even ones; with the next row alike.
+    /// Covariance with the next column from odd columns less that from even ones; the same with the next row.
     pub parity: (f64, f64),
-    /// Covariance along the diagonal up to the right beyond that along the other.
+    /// Covariance along the diagonal up to the right less that along the other.
     pub uphill: f64,
     /// Share of the codes around the level that occur.
     pub codes_used: f64,
-    /// Step of the codes around the level, DN: of a table whose steps grow.
+    /// Step of the codes around the level, DN, for a table whose steps grow.
     pub step_dn: f64,
 }
 
@@ -127,7 +128,7 @@ impl SetPrediction {
         }
     }
 
-    /// Multiplies the image about its mean: all noise by the square.
+    /// Multiplies the image about its mean by a gain: all variances by its square.
     pub fn gain(&mut self, by: f64) {
         self.scale(by * by);
     }
@@ -143,7 +144,8 @@ impl SetPrediction {
         self.pixels_follow(square);
     }
 
-    /// Multiplies the variance of what pixels, rows, columns and frames share from frame to frame.
+    /// Multiplies the variance of noise that pixels, rows, columns and frames share and that changes from
+    /// frame to frame.
     pub(super) fn shared(&mut self, square: f64) {
         self.row.scale(square);
         self.column.scale(square);
@@ -175,13 +177,14 @@ impl SetPrediction {
             };
         }
         self.follow(before);
-        // Each new pixel is a weighted sum of several, which are more alike and closer to normal than single
-        // ones.
+        // Each new pixel is a weighted sum of several pixels. Such sums are more alike and closer to normal
+        // than single pixels.
         self.unequal *= filter.of_single();
         self.fourth *= filter.of_single();
     }
 
-    /// Mixes each frame with those before it: all noise is multiplied by `less` and correlated in time by `memory`.
+    /// Mixes each frame with those before it: all noise is multiplied by `less` and correlated in time by
+    /// `memory`.
     pub fn mix_in_time(&mut self, less: f64, memory: &[f64]) {
         let setting = self.setting;
         self.scale(less);
@@ -190,18 +193,19 @@ impl SetPrediction {
         (self.shot_memory, self.read_memory) = (memory.to_vec(), memory.to_vec());
     }
 
-    /// Variance of what single pixels have of their own.
+    /// Returns the variance of the pixels' own noise.
     pub(crate) fn pixels(&self) -> f64 {
         self.shot.lag(0, 0) + self.read.lag(0, 0)
     }
 
-    /// After noise was filtered, from the variance before: what is known of single pixels follows their variance.
+    /// Scales the statistics of single pixels by the change of their variance through a filter; `before` is
+    /// the variance before it.
     pub(crate) fn follow(&mut self, before: f64) {
         let by = if before > 0.0 { self.pixels() / before } else { 1.0 };
         self.pixels_follow(by);
     }
 
-    /// What is known of single pixels, where their variance is multiplied by `by`.
+    /// Scales the statistics of single pixels if their variance is multiplied by `by`.
     pub(super) fn pixels_follow(&mut self, by: f64) {
         self.unsure_var *= by;
         self.unsure_own *= by;
@@ -212,25 +216,27 @@ impl SetPrediction {
         powers.into_iter().chain(&mut self.fourth_next).for_each(|power| *power *= by * by);
     }
 
-    /// Clipping leaves the share `less` of the variance.
+    /// Applies clipping that leaves the share `less` of the variance.
     pub(crate) fn cut(&mut self, less: f64, left: &Clipped) {
         self.pixels_follow(less);
         self.unequal += left.unequal;
         self.fourth += left.fourth;
-        // The pixels' places are known as a few shares; where nearly all are clipped, next to nothing of the few that are not.
+        // The pixels' levels are known at a few places. If nearly all are clipped, next to nothing is known
+        // of the few that are not.
         self.unsure = libm::hypot(self.unsure, (0.3 + 0.7 * left.above * left.above) * left.unequal);
         self.unsure_mean = libm::hypot(self.unsure_mean, 0.1 * left.lost * (1.0 - left.above));
-        // Pixels on both sides of the limit: no more than what is cut off.
+        // Pixels lie on both sides of the limit: they deviate by no more than the excess that is cut off.
         self.uneven = libm::hypot(self.uneven, left.lost * (1.0 - left.above));
     }
 
-    /// Variance of shot noise over the signal: 1 until neighbours share charge.
+    /// Returns the variance of shot noise over the signal: 1 until neighbours share charge.
     pub(crate) fn shot_over_signal(&self) -> f64 {
         if self.signal > 0.0 { self.shot.lag(0, 0) / self.signal } else { 1.0 }
     }
 
-    /// Shot noise, of whose variance clipping leaves the share `less`, with a share `above` of the pixels at the limit: what two pixels share
-    /// is left where neither is, to first order in their correlation.
+    /// Clips shot noise: `less` is the share of its variance that is left, `above` the share of the pixels at
+    /// the limit. Noise that two pixels share is left where neither is at the limit, to first order in their
+    /// correlation.
     pub(crate) fn cut_shot(&mut self, less: f64, above: f64) {
         let both = (1.0 - above) * (1.0 - above);
         let own = (less - both) * self.shot.lag(0, 0);
@@ -238,8 +244,8 @@ impl SetPrediction {
         self.shot.add_white(own);
     }
 
-    /// A curve that charge follows, before read noise: of the variance of shot noise it leaves the share `less`.
-    /// `at`: what becomes of the mean level; `bent`: of the levels at the pixels' places.
+    /// Applies a curve to charge, before read noise. `less` is the share of the shot-noise variance that is
+    /// left, `at` the mean level after the curve, `bent` the levels at the pixels' places after it.
     pub(crate) fn bend_shot(
         &mut self,
         less: f64,
@@ -253,14 +259,14 @@ impl SetPrediction {
         self.pixels_follow(less);
         self.unequal += left.unequal;
         self.fourth += left.fourth;
-        // The field's part in a bend is known from a few places only.
+        // The field's part of a bend is known at a few places only.
         self.unsure_mean = libm::hypot(self.unsure_mean, OF_PLACES * (left.mean - at).abs());
         self.uneven = libm::hypot(self.uneven, off_a_line(places, bent));
         self.signal = left.mean;
     }
 
-    /// What light shares from pixel to pixel, where the share `above` of the pixels no longer follows it: the mean of what is clipped has that
-    /// slope less than 1.
+    /// Reduces the noise of light that pixels share if the share `above` of the pixels no longer follows the
+    /// light: the mean of clipped pixels has a slope that is less than 1 by that share.
     pub(crate) fn cut_light(&mut self, above: f64) {
         let square = (1.0 - above) * (1.0 - above);
         self.fields.scale(square);
@@ -270,7 +276,7 @@ impl SetPrediction {
         self.ripples.iter_mut().for_each(|r| r.0 *= square);
     }
 
-    /// All noise of a clipped image: shared noise is lost where pixels are clipped.
+    /// Clips all noise of an image: shared noise is lost where pixels are clipped.
     pub(crate) fn cut_all(&mut self, less: f64, left: &Clipped) {
         self.cut(less, left);
         self.shot.scale(less);
@@ -279,7 +285,8 @@ impl SetPrediction {
         self.setting *= less;
     }
 
-    /// Covariance at a lag of noise within a frame, DN^2: the frame's own mean is not taken off.
+    /// Returns the covariance at a lag of noise within a frame, DN^2, without subtraction of the frame's own
+    /// mean.
     pub fn covariance(&self, dy: i32, dx: i32) -> f64 {
         let line = |&(v, px, py): &(f64, f64, f64)| v * libm::cos(px * f64::from(dx) + py * f64::from(dy));
         let lines: f64 = self.lines.iter().map(line).sum();
@@ -292,24 +299,24 @@ impl SetPrediction {
             + lines
     }
 
-    /// Covariance of rows this far apart that light has which changes from row to row.
+    /// Returns the covariance of rows this far apart by slow changes from row to row.
     pub fn ripple(&self, rows: f64) -> f64 {
         self.ripples.iter().map(|(v, ripple)| v * ripple.correlation(rows)).sum()
     }
 
-    /// The same over that of a row with itself; 0 where there is none.
+    /// Returns that covariance over that of a row with itself; 0 without ripples.
     pub fn ripple_correlation(&self, rows: f64) -> f64 {
         let all = self.ripple(0.0);
         if all > 0.0 { self.ripple(rows) / all } else { 0.0 }
     }
 
-    /// Covariance of what changes slowly down the rows, in the first `to` of so many rows, with its mean over all of them.
+    /// Returns the covariance of the ripples in the first `to` of `rows` rows with their mean over all rows.
     pub fn ripple_with_mean(&self, to: usize, rows: usize) -> f64 {
         self.ripples.iter().map(|(v, r)| v * r.with_mean(to as f64, rows as f64)).sum()
     }
 
-    /// Mean over pairs of pixels of the square of the covariance that normal noise of lines, bands and fields
-    /// gives them, DN^4.
+    /// Returns the mean over pairs of pixels of the square of their covariance by normal noise of lines,
+    /// bands and fields, DN^4.
     pub fn shared_squares(&self, rows: usize, columns: usize) -> f64 {
         let height = rows as f64;
         let wander = |(v, ripple): &(f64, Ripple)| match *ripple {
@@ -322,8 +329,8 @@ impl SetPrediction {
             + self.column.lag(0).powi(2) / columns as f64
     }
 
-    /// Sines of one random phase a frame: the variance of each, DN^2, and the mean over pairs of pixels of
-    /// the cosine of twice the phase between them.
+    /// Returns the sines of one random phase per frame: the variance of each, DN^2, and the mean over pairs
+    /// of pixels of the cosine of twice the phase between them.
     pub fn sines(&self, rows: usize) -> impl Iterator<Item = (f64, f64)> {
         let height = rows as f64;
         let down = self.ripples.iter().filter_map(move |(v, ripple)| match *ripple {
@@ -333,7 +340,8 @@ impl SetPrediction {
         down.chain(self.lines.iter().map(|l| (l.0, 0.0)))
     }
 
-    /// Variance of a frame's mean over rows x columns pixels by what pixels and lines have of their own.
+    /// Returns the variance of a frame's mean over rows x columns pixels by the own noise of pixels and
+    /// lines.
     pub fn of_frame_mean(&self, (rows, columns): (usize, usize), pixels: f64) -> f64 {
         (self.shot.of_mean() + self.read.of_mean()) / pixels
             + self.row.of_mean() / rows as f64

@@ -25,7 +25,7 @@ pub const ALL: &[(&str, &str)] = &[
     ("cmv4000", include_str!("cmv4000.toml")),
 ];
 
-/// The text of a sensor, or `None` where there is none of that name.
+/// Returns the text of a sensor, or `None` if there is none of that name.
 pub fn get(name: &str) -> Option<&'static str> {
     ALL.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
@@ -34,7 +34,7 @@ pub fn get(name: &str) -> Option<&'static str> {
 ///
 /// # Errors
 ///
-/// Where there is no sensor of this name.
+/// There is no sensor of this name.
 pub fn load(name: &str) -> Result<Model, ModelError> {
     let text = get(name).ok_or_else(|| {
         let names: Vec<_> = ALL.iter().map(|(known, _)| *known).collect();
