@@ -1,8 +1,9 @@
-//! Campaigns: from files on a disk to sets of frames that were looked at.
+//! Campaigns: from image files to examined sets of frames.
 //!
-//! In: folders, stacks, headers and names of any program ([`import`]), and [`plan`]s of campaigns to be taken. Out: a
-//! [`dataset`] whose slips are named and left out ([`data_faults`]), and a first look at its sets: pixels that count,
-//! level of the darks. Begin with [`dataset::Dataset`].
+//! Input: folders, stacks, headers and file names of any program ([`import`]), and [`plan`]s of
+//! campaigns to be captured. Output: a [`dataset`] whose faulty frames are named and excluded
+//! ([`data_faults`]), and a first look at its sets: usable pixels and dark level. Begin with
+//! [`dataset::Dataset`].
 
 pub mod data_faults;
 pub mod dataset;

@@ -1,7 +1,7 @@
 //! Plans: what to capture, as TOML files.
 //!
-//! Exposures may be given in seconds (`exposure_s`) or relative to the exposure that brings the card at
-//! illumination 1 close to full scale (`exposure`); `capture` measures that one before it starts.
+//! Exposures are given in seconds (`exposure_s`) or relative to the exposure that brings the card at
+//! illumination 1 close to full scale (`exposure`); `capture` measures that exposure before it starts.
 
 use crate::dataset::{CameraInfo, Kind};
 use crate::frame::Region;
@@ -12,24 +12,24 @@ use radcam_sim::effects::Take;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Name and major version of the format.
+/// Name and major version of the file format.
 pub const FORMAT: &str = "radcam-plan/1";
 
-/// Part of full scale that relative exposure 1 at illumination 1 reaches.
+/// Fraction of full scale reached by relative exposure 1 at illumination 1.
 pub const FULL_EXPOSURE_LEVEL: f64 = 0.85;
 
-/// How the bench stands.
+/// State of the bench: light, configuration and scene.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BenchState {
     /// Light relative to the campaign's unit; 0: dark, the lens covered.
     pub illumination: f64,
     /// Position of card and light (Section V of the paper).
     pub configuration: u32,
-    /// What the camera looks at.
+    /// Scene in front of the camera.
     pub scene: Scene,
 }
 
-/// GenICam features that drive a bench, as a plan names them.
+/// GenICam features that drive a bench, as named in a plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GenicamBench {
@@ -47,10 +47,10 @@ pub struct GenicamBench {
     /// Enumeration feature of the scene, with the entries `Card`, `Patch` and `Chart`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
-    /// Time after a change until the light is steady, s.
+    /// Settling time of the light after a change, s.
     #[serde(default)]
     pub settle_s: f64,
-    /// How well each level is known, relative.
+    /// Relative standard uncertainty of each light level.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub illumination_rel_std: Option<f64>,
 }
@@ -60,7 +60,7 @@ fn one() -> f64 {
 }
 
 impl GenicamBench {
-    /// The features of a camera that `radcam serve` plays.
+    /// Returns the bench features of a camera served by `radcam serve`.
     pub fn served() -> Self {
         Self {
             illumination: "BenchIllumination".into(),
@@ -74,19 +74,20 @@ impl GenicamBench {
     }
 }
 
-/// A plan.
+/// A capture plan: settings and sets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
     /// [`FORMAT`].
     pub format: String,
-    /// What the plan is for.
+    /// Purpose of the plan.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub about: String,
-    /// Exposure that counts as 1, s; measured where absent.
+    /// Exposure that counts as 1, s; measured if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full_exposure_s: Option<f64>,
-    /// Whether that exposure was searched for before the first frame: a simulated camera that is gone on with exposes those frames again.
+    /// True if that exposure was searched for before the first frame. A simulated camera that resumes
+    /// the campaign exposes those frames again.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub searched: bool,
     /// Settings of the camera for the whole campaign.
@@ -95,15 +96,15 @@ pub struct Plan {
     /// GenICam features that drive the bench; without them the operator is asked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<GenicamBench>,
-    /// The light at illumination 1 in photons, as a photodiode told it.
+    /// Light at illumination 1 in photons, measured with a photodiode.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<Light>,
-    /// The sets, in the order of time.
+    /// Sets in time order.
     #[serde(rename = "set")]
     pub sets: Vec<SetPlan>,
 }
 
-/// Settings of the camera; what is absent stays as it is.
+/// Settings of the camera; absent settings are left unchanged.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraPlan {
@@ -113,14 +114,14 @@ pub struct CameraPlan {
     /// Black level, DN.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub black_level_dn: Option<f64>,
-    /// PFNC name; absent: the deepest that the camera has.
+    /// PFNC name; if absent, the deepest format of the camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pixel_format: Option<PixelFormat>,
     /// First column, first row, width, height, pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub region: Option<[u32; 4]>,
-    /// Frames discarded at the start of each set, for a camera that takes a new setting up late. Such frames are
-    /// not there when lag is looked for.
+    /// Frames discarded at the start of each set, for a camera that applies new settings late. Discarded
+    /// frames are not available to the search for lag.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub settle_frames: u32,
     /// Frames per second.
@@ -140,7 +141,7 @@ impl CameraPlan {
         *self == Self::default()
     }
 
-    /// Refuses numbers that cannot be.
+    /// Refuses impossible numbers.
     fn check(&self) -> Result<(), String> {
         let info = CameraInfo {
             gain_db: self.gain_db,
@@ -156,24 +157,24 @@ impl CameraPlan {
         }
     }
 
-    /// The region, where the plan names one.
+    /// Returns the region, if the plan names one.
     pub fn region(&self) -> Option<Region> {
         self.region.map(|[x, y, width, height]| Region { x, y, width, height })
     }
 }
 
-/// Frames that share every setting.
+/// Frames with the same settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SetPlan {
-    /// What the frames show.
+    /// Kind of the frames.
     pub kind: Kind,
-    /// Frames.
+    /// Number of frames.
     pub frames: u32,
     /// Exposure, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure_s: Option<f64>,
-    /// Exposure relative to the full one.
+    /// Exposure relative to the full exposure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure: Option<f64>,
     /// Relative light; 0 for darks.
@@ -189,7 +190,7 @@ impl SetPlan {
         Self { kind, frames, exposure_s: None, exposure: Some(exposure), illumination, configuration: 0 }
     }
 
-    /// How the bench must stand.
+    /// Returns the bench state that the set needs.
     pub fn bench(&self) -> BenchState {
         let scene = match self.kind {
             Kind::Scene => Scene::Patch,
@@ -200,22 +201,22 @@ impl SetPlan {
     }
 }
 
-/// What is wrong with a plan.
+/// Errors of a plan.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlanError {
     /// Not TOML, or a key is missing, unknown or of the wrong type.
     #[error("not a plan: {0}")]
     Syntax(String),
-    /// A set that cannot be captured.
+    /// Set that cannot be captured.
     #[error("set {set}: {message}")]
     Set {
         /// Number of the set, from 0.
         set: usize,
-        /// What is wrong.
+        /// Description of the fault.
         message: String,
     },
-    /// The plan as a whole.
+    /// Fault of the plan as a whole.
     #[error("{0}")]
     Plan(String),
 }
@@ -234,16 +235,16 @@ impl Plan {
         }
     }
 
-    /// A minute's look: two dark exposures and eight exposures of the card, four frames each.
+    /// Returns a one-minute plan: two dark exposures and eight exposures of the card, four frames each.
     pub fn quick() -> Self {
         let mut sets = vec![SetPlan::new(Kind::Dark, 4, 1.0, 0.0), SetPlan::new(Kind::Dark, 4, 6.0, 0.0)];
         sets.extend((1..=8).map(|i| SetPlan::new(Kind::Flat, 4, f64::from(i) / 8.0, 1.0)));
         Self::of("A quick look: gain and constant noise", sets)
     }
 
-    /// What a full characterisation needs: darks at four exposures, an exposure sweep of 12 levels, a light
-    /// sweep of 7, a reference at start, middle and end, bright-to-dark transitions and one still scene at
-    /// two exposures.
+    /// Returns the plan of a full characterisation: darks at four exposures, an exposure sweep of 12
+    /// levels, a light sweep of 7, a reference at start, middle and end, bright-to-dark transitions, and
+    /// one still scene at two exposures.
     pub fn standard() -> Self {
         let n = 8;
         let dark = |exposure| SetPlan::new(Kind::Dark, n, exposure, 0.0);
@@ -257,15 +258,18 @@ impl Plan {
         sets.extend((2..=8).map(|i| flat(f64::from(i) / 8.0, 1.0)));
         sets.push(reference.clone());
         sets.extend([0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0].map(|light| flat(1.0, light)));
-        // From bright to dark, twice: after a flat and after the scene.
+        // Bright-to-dark transitions, twice: after a flat and after the scene.
         sets.extend([dark(1.0), scene(1.0), dark(1.0), scene(0.25), reference]);
         Self::of("Full characterisation", sets)
     }
 
-    /// An EMVA 1288 measurement (release 4.0 Linear, section 6.5, 7.1 and 8): pairs at 50 equally spaced exposures up to saturation and their
-    /// darks, pairs of darks at six long exposures, and 100 flats and 100 darks at half of saturation. Darks come first: a lens is covered once.
+    /// Returns an EMVA 1288 measurement (release 4.0 Linear, sections 6.5, 7.1 and 8): pairs at 50
+    /// equally spaced exposures up to saturation with their darks, pairs of darks at six long exposures,
+    /// and 100 flats and 100 darks at half of saturation. Darks come first, so that the lens is covered
+    /// only once.
     pub fn emva1288() -> Self {
-        // Exposure 1 brings the mean to 85 % of full scale; the steps end at 1.25 times that, past saturation whatever the black level.
+        // Exposure 1 brings the mean to 85 % of full scale. The steps end at 1.25 times that: past
+        // saturation at any black level.
         let step = |i: u32| 0.025 * f64::from(i);
         let half = step(24);
         let mut sets: Vec<_> = (1..=50).map(|i| SetPlan::new(Kind::Dark, 2, step(i), 0.0)).collect();
@@ -276,7 +280,7 @@ impl Plan {
         Self::of("EMVA 1288", sets)
     }
 
-    /// What an effect's page asks for (`radcam effects ID`), as a plan.
+    /// Converts the frames requested on an effect's page (`radcam effects ID`) into a plan.
     pub fn of_takes(about: &str, takes: &[Take]) -> Self {
         let set = |t: &Take| {
             let kind = match t.scene {
@@ -290,7 +294,7 @@ impl Plan {
         Self::of(about, takes.iter().map(set).collect())
     }
 
-    /// The plans that come with radcam: `quick`, `standard`, `emva1288`.
+    /// Returns a built-in plan: `quick`, `standard` or `emva1288`.
     pub fn named(name: &str) -> Option<Self> {
         match name {
             "quick" => Some(Self::quick()),
@@ -311,7 +315,7 @@ impl Plan {
     ///
     /// # Errors
     ///
-    /// Where the text is no plan: line, key or set, and what is wrong.
+    /// The text is not a plan: line, key or set, and the fault.
     pub fn from_toml(text: &str) -> Result<Self, PlanError> {
         let table: toml::Table =
             toml::from_str(text).map_err(|e| PlanError::Syntax(crate::input::echo_lines(&e.to_string())))?;
@@ -331,11 +335,11 @@ impl Plan {
         Ok(plan)
     }
 
-    /// The plan as TOML.
+    /// Writes the plan as TOML.
     ///
     /// # Errors
     ///
-    /// Where a value cannot be written as TOML.
+    /// A value cannot be written as TOML.
     pub fn to_toml(&self) -> Result<String, PlanError> {
         toml::to_string(self).map_err(|e| PlanError::Syntax(e.to_string()))
     }
@@ -378,12 +382,13 @@ impl Plan {
         Ok(())
     }
 
-    /// Whether any exposure is relative, so that the full exposure must be known.
+    /// Returns true if any exposure is relative, so that the full exposure must be known.
     pub fn needs_full_exposure(&self) -> bool {
         self.full_exposure_s.is_none() && self.sets.iter().any(|s| s.exposure_s.is_none())
     }
 
-    /// The plan with every exposure in seconds, each the nearest that `nearest` allows.
+    /// Returns the plan with every exposure in seconds, each rounded by `nearest` to one that the camera
+    /// allows.
     pub fn absolute(&self, full_exposure_s: f64, nearest: impl Fn(f64) -> f64) -> Self {
         let full = self.full_exposure_s.unwrap_or(full_exposure_s);
         let mut plan = self.clone();
@@ -396,14 +401,15 @@ impl Plan {
         plan
     }
 
-    /// How long a plan whose exposures are in seconds takes, s, at so many frames per second at most. A set takes half a second to begin.
+    /// Returns the duration of a plan whose exposures are in seconds, s, at the given maximum frame
+    /// rate. Each set takes half a second to begin.
     pub fn seconds(&self, frame_rate_hz: Option<f64>) -> f64 {
         let period_s = frame_rate_hz.filter(|r| *r > 0.0).map_or(0.0, |r| 1.0 / r);
         let of = |s: &SetPlan| 0.5 + f64::from(s.frames) * s.exposure_s.unwrap_or(0.0).max(period_s);
         self.sets.iter().map(of).sum()
     }
 
-    /// Frames of the whole plan.
+    /// Returns the number of frames of the whole plan.
     pub fn frames(&self) -> u64 {
         self.sets.iter().map(|s| u64::from(s.frames)).sum()
     }

@@ -387,7 +387,10 @@ fn a_calibration_knows_where_its_region_lay() {
     let part = Region { x: 8, y: 4, width: whole.width / 2, height: whole.height / 2 };
     assert_eq!(camera.set_region(part).unwrap(), part);
     let now = radcam::camera::info(&mut camera).unwrap();
-    assert_eq!((now.features["OffsetX"].as_integer(), now.features["OffsetY"].as_integer()), (Some(8), Some(4)));
+    assert_eq!(
+        (now.features["OffsetX"].as_integer(), now.features["OffsetY"].as_integer()),
+        (Some(8), Some(4))
+    );
     let mut calibration = calibration("xc77", "TEST1", (now.height, now.width), |_| (64.0, 1.0));
     calibration.description.camera = now;
     let elsewhere = Region { x: 0, y: 0, ..part };

@@ -179,7 +179,8 @@ fn channels_of_stacks_part_sets() {
         let frames: Vec<usize> = dataset.sets().iter().map(|set| set.rows.len()).collect();
         assert_eq!(frames, [6; 4], "{said}");
         for set in dataset.sets() {
-            let means: Vec<f64> = dataset.read_set(set).unwrap().iter().map(|f| f.mapv(f64::from).mean().unwrap()).collect();
+            let means: Vec<f64> =
+                dataset.read_set(set).unwrap().iter().map(|f| f.mapv(f64::from).mean().unwrap()).collect();
             assert!(means.iter().all(|mean| (mean - means[0]).abs() < 20.0), "{means:?}");
         }
     }

@@ -1,6 +1,5 @@
-//! Automatic exposure or gain: several flats have one level, whatever exposure and light are stated. A full
-//! well holds the level too, but wipes out the pattern of the pixels' response, which an automatic control
-//! leaves.
+//! Automatic exposure or gain: several flats have one level, whatever exposure and light are stated. A
+//! full well holds the level too, but removes the PRNU pattern, which an automatic control preserves.
 
 use super::campaign::{Zero, median_line};
 use super::patterns::{Noise, combined, share};
@@ -10,28 +9,30 @@ use crate::dataset::Kind;
 use crate::number::six_digits;
 use crate::statistics::median::median;
 
-/// Difference of the levels, relative, up to which they are one.
+/// Maximum relative difference of equal levels.
 const SAME_LEVEL: f64 = 0.03;
-/// Least ratio of exposure times light over them, and their least number.
+/// Minimum ratio of exposure times light over these flats, and their minimum number.
 const MIN_RATIO: f64 = 2.0;
 const MIN_FLATS: usize = 3;
-/// Difference of the levels, relative, of two flats or more whose noise tells the gain that holds them; least
-/// ratio of their exposure times light (named choices).
+/// Maximum relative difference of the levels of two or more flats held by an automatic gain that their
+/// noise reveals; minimum ratio of their exposure times light (named choices).
 const HELD_LEVEL: f64 = 0.005;
 const MIN_HELD_RATIO: f64 = 1.1;
-/// Least difference from the level that the other flats make of their setting, relative, and their least number.
+/// Minimum relative deviation from the level that the other flats predict for their setting, and minimum
+/// number of these.
 const MIN_OFF: f64 = 0.03;
 const MIN_OTHERS: usize = 4;
-/// Deviation of their noise from that of the gain, relative to the change that the gain makes (a named choice).
+/// Maximum deviation of their noise from that of the gain, relative to the change that the gain causes
+/// (a named choice).
 const SAME_GAIN: f64 = 0.3;
-/// Difference from the whole pattern up to which it is left, and the standard errors by which it is
-/// something.
+/// Maximum loss of the pattern at which it counts as preserved, and minimum significance of its
+/// presence, standard errors.
 const MAX_LOSS: f64 = 0.3;
 const MIN_SIGMAS: f64 = 5.0;
-/// Difference of the noise's variances, relative, up to which it is that of the same light.
+/// Maximum relative difference of noise variances under the same light.
 const SAME_NOISE: f64 = 0.15;
 
-/// The check.
+/// Check for automatic exposure or gain.
 pub struct Automatic;
 
 impl Check for Automatic {
@@ -47,7 +48,8 @@ impl Check for Automatic {
         }
         let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
         let light = |i: usize| campaign.sets[i].light();
-        // In each position of card and light, those at its highest level; in one of them two lights at least.
+        // For each position of card and light, the flats at its highest level; one position must have at
+        // least two lights.
         let mut fields: Vec<Vec<usize>> = Vec::new();
         for flats in campaign.flats_by_field().into_values() {
             let highest = flats.iter().map(|&i| above(i)).fold(0.0, f64::max);
@@ -64,7 +66,7 @@ impl Check for Automatic {
         if held.len() < MIN_FLATS || !campaign.are_of_one_size(held.iter()) {
             return Vec::new();
         }
-        // The patterns of the upper half of the lights and of the lower one.
+        // Patterns of the upper and the lower half of the lights.
         let columns = campaign.sets[held[0]].facts.middle_columns;
         let (mut lower, mut upper) = (Vec::new(), Vec::new());
         for field in &fields {
@@ -93,8 +95,8 @@ impl Check for Automatic {
         if !one_light && !falls {
             return Vec::new();
         }
-        // The first of each field counts where all had one light; a gain may have been regulated from the
-        // first on.
+        // With a single light the first flat of each field is valid; a gain may have been regulated from
+        // the first on.
         let first: Vec<usize> = fields.iter().map(|field| field[0]).collect();
         let (why, mut out): (String, Vec<usize>) = if one_light {
             let of_first = format!(
@@ -120,10 +122,10 @@ impl Check for Automatic {
     }
 }
 
-/// Finds flats of one level whose noise is that of the stated light at a gain that holds the level: the variance
-/// falls with its square (Healey and Kondepudy 1994, eq. 35). Other flats tell what light makes of level and
-/// noise; at a full well the noise goes with the pattern, and not as the gain. Returns the flats and their level
-/// above black, DN.
+/// Finds flats of one level whose noise is that of the stated light at a gain that holds the level: the
+/// variance falls with its square (Healey and Kondepudy 1994, eq. 35). The other flats give level and
+/// noise as functions of light; at a full well the noise vanishes with the pattern, not as the gain.
+/// Returns the flats and their level above black, DN.
 fn held_by_gain(campaign: &Campaign<'_>, zero: &Zero) -> Option<(Vec<usize>, f64)> {
     let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
     let light = |i: usize| campaign.sets[i].light();
@@ -149,7 +151,7 @@ fn held_by_gain(campaign: &Campaign<'_>, zero: &Zero) -> Option<(Vec<usize>, f64
         let Some((noise, std)) = transfer.off(campaign, i, expected_dn) else { return false };
         tracing::debug!("set {}: level {off:+.3}, noise {noise:+.3} +- {std:.3}", campaign.sets[i].number);
         off < -MIN_OFF && (noise - 2.0 * off).abs() < (SAME_GAIN * -off).max(2.0 * std)
-            // A label that is wrong, or light that was held, has the noise of the level.
+            // A wrong label, or light held constant, has the noise of the level.
             && (noise - off).abs() > (noise - 2.0 * off).abs()
     };
     let held: Vec<usize> = held.into_iter().filter(is_of_gain).collect();

@@ -1,10 +1,10 @@
-//! Flats that were all averaged before they were saved, beside darks that were not, or the reverse: no set stands
-//! out, but the two kinds have different noise.
+//! Flats that were all averaged before saving, beside darks that were not, or the reverse: no single set
+//! stands out, but the two kinds have different noise.
 //!
-//! The mean of n frames has 1/n of their variance, and their rounding on top: flats and darks then lie on two
-//! photon-transfer lines (Healey and Kondepudy 1994, eqs. 35 and 43). Two witnesses tell them: the noise that the
-//! flats leave for the level of the darks, and the gain by the charge of the darks. The level of that charge may
-//! be taken off in the camera; what single hot pixels have more than others is not.
+//! The mean of n frames has 1/n of their variance, plus rounding: flats and darks then lie on two
+//! photon-transfer lines (Healey and Kondepudy 1994, eqs. 35 and 43). Two tests reveal them: the noise
+//! that the flats predict at the dark level, and the gain from the dark charge. The camera may subtract
+//! the level of that charge, but not the excess of single hot pixels.
 
 use super::hot_charge::HotCharge;
 use super::set_view::SetView;
@@ -15,31 +15,33 @@ use crate::number::{six_digits, with_error};
 use crate::statistics::median::median;
 use crate::statistics::quantisation::QUANTISATION_DN2;
 
-/// Least number of flats that leave a noise for the darks.
+/// Minimum number of flats that predict the noise of darks.
 const MIN_FLATS: usize = 4;
-/// Least ratio of the noise of two kinds, or of the gains by them (a named choice): two frames make it 2.
+/// Minimum ratio of the noise of the two kinds, or of their gains (a named choice): two frames make it
+/// 2.
 const MIN_RATIO: f64 = 1.6;
-/// Standard errors beyond which a ratio is told by one witness, and by another beside it (named choices).
+/// Minimum significance of a ratio from one test alone, and from a second test beside it, standard
+/// errors (named choices).
 const MIN_SIGMAS: f64 = 5.0;
 const MIN_SIGMAS_BESIDE: f64 = 3.0;
-/// Relative difference of two gains by the charge of the darks up to which they agree (a named choice).
+/// Maximum relative difference of two equal gains from the dark charge (a named choice).
 const SAME_GAIN: f64 = 0.25;
 
-/// The check.
+/// Check for averages of one kind.
 pub struct AveragesOfOneKind;
 
 /// Value and standard error.
 type Measured = (f64, f64);
 
-/// Noise and gains of the darks of a campaign, and of its flats.
+/// Noise and gains of the darks and flats of a campaign.
 struct Kinds {
-    /// Variance of each dark, and what the flats leave for its level, DN^2.
+    /// Variance of each dark, and that predicted by the flats at its level, DN^2.
     darks: Vec<(f64, Measured)>,
-    /// Gain by the flats, DN/e.
+    /// Gain from the flats, DN/e.
     of_flats: Measured,
-    /// Gain by the growth of level and noise between the darks, DN/e.
+    /// Gain from the growth of level and noise between darks, DN/e.
     of_growth: Option<Measured>,
-    /// Gain by hot pixels of the darks, DN/e.
+    /// Gain from hot pixels of the darks, DN/e.
     of_hot: Option<Measured>,
 }
 
@@ -54,7 +56,7 @@ impl Kinds {
         let of_growth = growth(campaign, darks);
         let of_hot = HotCharge::of_all(darks.iter().filter_map(|&i| campaign.sets[i].facts.hot_charge));
         let of_flats = transfer.slope_with_error();
-        // Flats of about one level tell no gain.
+        // Flats of about one level give no gain.
         if of_flats.0 <= MIN_SIGMAS * of_flats.1 {
             return None;
         }
@@ -72,12 +74,12 @@ impl Kinds {
         Some(all)
     }
 
-    /// Gain by the darks over that by the flats where level, noise and hot pixels agree on it.
+    /// Returns the ratio of the gains from darks and flats, if level, noise and hot pixels agree on it.
     fn ratio(&self) -> Option<Measured> {
         let ((growth, growth_std), (hot, hot_std)) = self.of_growth.zip(self.of_hot)?;
         let agree = (growth - hot).abs()
             < SAME_GAIN * growth.max(hot) + MIN_SIGMAS_BESIDE * growth_std.hypot(hot_std);
-        // Hot pixels by themselves lie on the same side of the flats: their level is not taken off.
+        // Hot pixels alone deviate from the flats in the same direction: their level is not subtracted.
         let (flats, flats_std) = self.of_flats;
         let beside = MIN_SIGMAS_BESIDE * hot_std.hypot(flats_std) < (hot - flats).abs()
             && (hot > flats) == (growth > flats);
@@ -88,14 +90,15 @@ impl Kinds {
         (agree && beside).then_some((ratio, (weight.powf(-0.5) / flats).hypot(ratio * flats_std / flats)))
     }
 
-    /// Standard deviations of a ratio from 1, with those of the noise that the flats leave for the darks.
+    /// Returns the deviation of a ratio from 1 in standard deviations, including those of the predicted
+    /// dark noise.
     fn sigmas(&self, (ratio, std): Measured) -> f64 {
         let side = if ratio > 1.0 { 1.0 } else { -1.0 };
         let of_noise = median(self.darks.iter().map(|(own, (left, std))| side * (own - left) / std));
         (side * (ratio - 1.0) / std).hypot(of_noise.max(0.0))
     }
 
-    /// Returns true if the charge of the darks tells the gain that the flats have.
+    /// Returns true if the dark charge gives the gain of the flats.
     fn gains_agree(&self) -> bool {
         let is_same = |(gain, std): Measured| {
             let off = (gain / self.of_flats.0).ln().abs();
@@ -104,8 +107,8 @@ impl Kinds {
         self.of_hot.is_some_and(is_same) || self.of_growth.is_some_and(is_same)
     }
 
-    /// Returns true if all darks have more noise than the flats leave, and about the same: what grows with their
-    /// exposure is charge, in the flats too, and its level may be taken off.
+    /// Returns true if all darks exceed the predicted noise by about the same amount: an excess that
+    /// grows with exposure is charge, which the flats have too, and its level may be subtracted.
     fn darks_have_more(&self) -> bool {
         let least = self.darks.iter().map(|d| d.0).fold(f64::INFINITY, f64::min);
         let are_alike = self.darks.iter().all(|d| d.0 < MIN_RATIO * least);
@@ -117,14 +120,14 @@ impl Kinds {
             })
     }
 
-    /// Returns true if all darks have less noise than the flats leave.
+    /// Returns true if all darks have less noise than the flats predict.
     fn darks_have_less(&self) -> bool {
         self.darks.iter().all(|(own, (left, std))| {
             *left > 2.0 * MIN_VARIANCE_DN2 && MIN_RATIO * own < *left && *own < left - MIN_SIGMAS * std
         })
     }
 
-    /// Returns true if no dark has less (or more) noise than the flats leave, beyond errors.
+    /// Returns true if no dark has less (or more) noise than the flats predict, beyond errors.
     fn allows(&self, darks_have_more: bool) -> bool {
         self.darks.iter().all(|(own, (left, std))| {
             let off = (own - left) / std;
@@ -133,7 +136,7 @@ impl Kinds {
     }
 }
 
-/// Gain by the growth of level and noise from the dark of the lowest level to that of the highest.
+/// Returns the gain from the growth of level and noise between the darks of lowest and highest level.
 fn growth(campaign: &Campaign<'_>, darks: &[usize]) -> Option<Measured> {
     let level = |i: &&usize| campaign.sets[**i].level_dn();
     let low = darks.iter().min_by(|a, b| level(a).total_cmp(&level(b)))?;
@@ -144,7 +147,7 @@ fn growth(campaign: &Campaign<'_>, darks: &[usize]) -> Option<Measured> {
     };
     let ((low_dn2, low_std), (high_dn2, high_std)) = noise(*low).zip(noise(*high))?;
     let (more_dn, more_dn2) = (level(&high) - level(&low), high_dn2 - low_dn2);
-    // The longest exposure has the highest level where charge makes it.
+    // If charge causes the level, the longest exposure has the highest one.
     let is_longer = campaign.sets[*high].exposure_s > campaign.sets[*low].exposure_s;
     let level_std = 2f64.sqrt() * campaign.dark_scatter_dn();
     (is_longer && more_dn > MIN_SIGMAS * level_std).then(|| {
@@ -171,10 +174,11 @@ impl Check for AveragesOfOneKind {
         let is_sure = ratio.is_some_and(|r| kinds.sigmas(r) > MIN_SIGMAS);
         let of_flats = is_sure && ratio.is_some_and(|(r, _)| r > MIN_RATIO) && kinds.allows(true);
         let of_darks = is_sure && ratio.is_some_and(|(r, _)| r * MIN_RATIO < 1.0) && kinds.allows(false);
-        // Noise alone tells it where the charge of the darks does not contradict.
+        // Noise alone suffices if the dark charge does not contradict.
         let by_noise = !kinds.gains_agree();
         let flats_are = of_flats || by_noise && kinds.darks_have_more();
-        // Flats of far longer exposures have a charge that the darks have not, and its level may be taken off.
+        // Flats of far longer exposures have charge that the darks lack, and its level may be
+        // subtracted.
         let exposure_s = |i: &usize| campaign.sets[*i].exposure_s;
         let shortest_s = flats.iter().map(exposure_s).fold(f64::INFINITY, f64::min);
         let have_their_charge = darks.iter().any(|i| 2.0 * exposure_s(i) >= shortest_s);

@@ -1,4 +1,4 @@
-//! Campaign as the checks see it: levels and noise of the sets, without those left out so far.
+//! Campaign as seen by the checks: levels and noise of the sets, without those excluded so far.
 
 use super::facts::{SetFacts, code_step};
 use super::law::{Law, Point};
@@ -9,51 +9,52 @@ use crate::statistics::median::{MAD_OF_NORMAL, median};
 use crate::statistics::quantisation::{QUIET_DN2, SMALLEST_DARK_DN2};
 use std::collections::BTreeMap;
 
-/// Rounding to whole codes alone moves the mean of a quiet frame by some hundredths, DN.
+/// Scatter of a quiet frame's mean caused by rounding alone, DN.
 const MIN_MEAN_SCATTER_DN: f64 = 0.02;
-/// Least step of a coarse converter, DN (a named choice).
+/// Minimum step of a coarse converter, DN (a named choice).
 const MIN_COARSE_STEP_DN: f64 = 1.5;
 /// Minimum number of darks that determines the growth of level and noise with the exposure.
 const MIN_DARKS_FOR_A_LAW: usize = 6;
-/// Maximum slope of a smooth law beyond the longest exposure, over its mean slope before; a square of the
-/// exposure has twice that slope (a named choice).
+/// Maximum slope of a smooth law beyond the longest exposure, relative to its mean slope before; a
+/// square of the exposure has twice that slope (a named choice).
 const MAX_SLOPE_RATIO_AT_END: f64 = 3.0;
 /// Maximum error of a dark's value, in its standard deviations (a named choice).
 const MAX_ERROR_SIGMAS: f64 = 3.0;
-/// Share of clipped samples, beyond those of pixels that always are, from which the level of a set is not
-/// what it would be.
+/// Minimum fraction of clipped samples, beyond permanently clipped pixels, that distorts the level of a
+/// set.
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
 
-/// Fewest changes of level that tell a share that is carried over, and that tell it from flicker.
+/// Minimum numbers of level changes that reveal a carry-over, and that distinguish it from flicker.
 const MIN_CHANGES: (usize, usize) = (3, 8);
-/// Standard deviations of a frame's mean from which on a change of level tells a share (a named choice).
+/// Minimum level change that determines a carry-over, standard deviations of a frame's mean (a named
+/// choice).
 const MIN_SIGMAS_OF_A_CHANGE: f64 = 20.0;
-/// Least change of level, relative to the largest: small ones tell little of a share.
+/// Minimum level change relative to the largest: small ones are uninformative.
 const MIN_CHANGE: f64 = 0.3;
-/// Shares of a change of level that first frames carry through lag or a filter and that matter to levels.
+/// Range of carry-over into first frames, by lag or a filter, that matters to levels.
 const CARRIED_SHARES: std::ops::Range<f64> = 0.003..0.5;
-/// Scatter of these shares, relative, up to which they are one: a lamp or a slip has none in common.
+/// Maximum relative scatter of a common carry-over: lamps and isolated faults have none in common.
 const MAX_SHARE_SCATTER: f64 = 0.3;
 
-/// A line of the darks' level over the exposure.
+/// Line of the dark level over exposure.
 #[derive(Debug, Clone, Copy)]
 pub struct Zero {
     /// Level at zero exposure, DN.
     pub dn: f64,
     /// Growth, DN/s.
     pub dn_per_s: f64,
-    /// Scatter of darks about it, DN.
+    /// Scatter of darks about the line, DN.
     pub scatter_dn: f64,
 }
 
 impl Zero {
-    /// Level at an exposure, DN.
+    /// Returns the level at an exposure, DN.
     pub fn at(&self, exposure_s: f64) -> f64 {
         self.dn + self.dn_per_s * exposure_s
     }
 }
 
-/// Scatter of frame means, from the steps of successive frames of all sets.
+/// Scatter of frame means, from the differences of successive frames of all sets.
 #[derive(Debug, Clone, Copy)]
 pub struct Scatter {
     zero: Zero,
@@ -62,8 +63,8 @@ pub struct Scatter {
 }
 
 impl Scatter {
-    /// Standard deviation of the mean of one frame of a set, DN: lamp, black level and the noise of the
-    /// pixels.
+    /// Returns the standard deviation of one frame's mean in a set, DN: lamp, black level and pixel
+    /// noise.
     pub fn of_frame_dn(&self, set: &SetView) -> f64 {
         let above = if set.is_lit() { (set.level_dn() - self.zero.at(set.exposure_s)).max(0.0) } else { 0.0 };
         let pixels = set.variance_dn2().map_or(0.0, |v| v.0) / set.facts.pixels.max(1.0);
@@ -71,33 +72,33 @@ impl Scatter {
     }
 }
 
-/// Variance of differences of successive frames over that of frames two apart, from which on down frames depend
-/// on one another; fewest sets that say so (named choices).
+/// Maximum ratio of the variance of differences of successive frames to that of frames two apart at
+/// which frames depend on one another, and minimum number of such sets (named choices).
 const MAX_DEPENDENCE: f64 = 0.95;
 const MIN_DEPENDENT_SETS: usize = 4;
-/// Largest weight of the frames before: a mean of the last frames looks like 1, and that of two has 4 times the
-/// noise, that of three 9 times (this weight makes 6).
+/// Maximum weight of previous frames: a running mean looks like 1, and that of two has 4 times the
+/// noise, that of three 9 times (this weight gives 6).
 const MAX_WEIGHT: f64 = 0.5;
 
-/// All sets.
+/// All sets of a campaign.
 #[derive(Debug)]
 pub struct Campaign<'a> {
     dataset: &'a Dataset,
-    /// Sets in the order of time.
+    /// Sets in time order.
     pub sets: Vec<SetView>,
     /// Full scale, DN.
     pub full_scale_dn: f64,
-    /// Step of the converter that the sets agree on, DN.
+    /// Converter step on which the sets agree, DN.
     pub(super) code_step_dn: f64,
-    /// Share of a change of level that first frames usually carry; 0 where none is seen.
+    /// Usual carry-over of a level change into first frames; 0 if none is seen.
     pub carried_share: f64,
-    /// True if the black level was subtracted from the flats, and not from the darks.
+    /// True if the black level was subtracted from the flats but not from the darks.
     pub flats_are_dark_subtracted: bool,
 }
 
 impl<'a> Campaign<'a> {
     pub(super) fn new(dataset: &'a Dataset, facts: Vec<SetFacts>) -> Self {
-        // Pixels that are always at full scale clip no level.
+        // Pixels that are always at full scale do not distort a level.
         let always = facts.iter().filter(|f| !f.means_dn.is_empty()).map(|f| f.clipped).fold(1.0, f64::min);
         let code_step_dn = code_step(&facts);
         let view = |(set, facts): (&crate::dataset::Set, SetFacts)| {
@@ -146,8 +147,8 @@ impl<'a> Campaign<'a> {
         all
     }
 
-    /// Noise of the sets' means where a filter over time makes the frames of most alike: the means of such frames
-    /// have more than independent ones of as much variance.
+    /// Sets the noise of the sets' means if a temporal filter correlates the frames of most sets: their
+    /// means scatter more than those of independent frames with the same variance.
     fn count_dependent_frames(&mut self) {
         let known: Vec<f64> =
             self.sets.iter().filter(|s| !s.wanders()).filter_map(SetView::dependence).collect();
@@ -156,8 +157,9 @@ impl<'a> Campaign<'a> {
             return;
         }
         // Autoregression with weight a: the variance of differences one apart is 1 / (1 + a) of that two
-        // apart, that of the mean of n frames (1 + a) / (1 - a) of 1 / n, and that of frames in turns the
-        // reciprocal (Box and Jenkins 1976, 3.2.3; the latter is the spectrum at its ends).
+        // apart, that of the mean of n frames (1 + a) / (1 - a) of 1 / n, and that of frames with
+        // alternating sign the reciprocal (Box and Jenkins 1976, 3.2.3; the latter is the spectrum at
+        // its ends).
         let weight = (dependence.recip() - 1.0).min(MAX_WEIGHT);
         let of_mean = (1.0 + weight) / (1.0 - weight);
         for set in &mut self.sets {
@@ -166,7 +168,8 @@ impl<'a> Campaign<'a> {
         }
     }
 
-    /// Change of the level from the set before to this one, DN, and what its first frame has of it.
+    /// Returns the level change from the previous set to this one, DN, and the part of it in its first
+    /// frame.
     fn change_at(&self, set: usize) -> Option<(f64, f64)> {
         let (own, before) = (&self.sets[set], &self.sets[set.checked_sub(1)?]);
         if own.out || before.out || own.frames() < 2 || before.frames() == 0 || !own.kept[0] {
@@ -177,41 +180,42 @@ impl<'a> Campaign<'a> {
         Some((before.last_dn() - level, means[0] - level))
     }
 
-    /// Share of a change of level that first frames carry over, where all carry about the same; `None` where
-    /// they carry less than matters.
+    /// Returns the usual carry-over into first frames, if all carry about the same; `None` if it is
+    /// negligible.
     fn usual_share(&self) -> Option<f64> {
         usual(&shares((1..self.sets.len()).filter_map(|k| self.change_at(k)).collect()))
     }
 
-    /// Pixels of a row.
+    /// Returns the number of pixels per row.
     pub fn columns(&self) -> usize {
         self.dataset.manifest().camera.width.max(1)
     }
 
-    /// Bits of a code.
+    /// Returns the bit depth.
     pub fn bit_depth(&self) -> u32 {
         self.dataset.manifest().camera.bit_depth.into()
     }
 
-    /// File of a frame.
+    /// Returns the file of a frame.
     pub fn file(&self, set: usize, place: usize) -> String {
         self.dataset.rows()[self.dataset.sets()[set].rows[place]].file.clone()
     }
 
-    /// Places of the sets that are left and are of a kind.
+    /// Returns the indices of the remaining sets that match.
     pub fn places(&self, wanted: impl Fn(&SetView) -> bool) -> Vec<usize> {
         (0..self.sets.len())
             .filter(|i| !self.sets[*i].out && self.sets[*i].frames() > 0 && wanted(&self.sets[*i]))
             .collect()
     }
 
-    /// Set of the lowest level whose noise is measured.
+    /// Returns the set of the lowest level with measured noise.
     pub fn darkest(&self) -> Option<&SetView> {
         let measured = self.places(|s| s.variance_dn2().is_some()).into_iter().map(|i| &self.sets[i]);
         measured.min_by(|a, b| a.level_dn().total_cmp(&b.level_dn()))
     }
 
-    /// Level of the darks over the exposure by the median slope between them; `None` without darks.
+    /// Fits the dark level over exposure with the median of the slopes between darks; `None` without
+    /// darks.
     pub fn zero(&self) -> Option<Zero> {
         self.zero_without(&[])
     }
@@ -221,7 +225,7 @@ impl<'a> Campaign<'a> {
         self.zero_by(without, SetView::level_dn)
     }
 
-    /// Fits the dark level of the frames behind the first of each set.
+    /// Fits the dark level without the first frame of each set.
     pub fn zero_behind_firsts(&self) -> Option<Zero> {
         self.zero_by(&[], SetView::behind_first_dn)
     }
@@ -239,7 +243,7 @@ impl<'a> Campaign<'a> {
         Some(Zero { dn, dn_per_s, scatter_dn })
     }
 
-    /// Level at which flats would have no light, DN, by a line through the dimmest and the brightest.
+    /// Returns the level of flats without light, DN, by a line through the dimmest and the brightest.
     pub fn black_of(&self, flats: &[usize]) -> Option<f64> {
         let light = |i: usize| self.sets[i].light();
         let by_light = |a: &&usize, b: &&usize| light(**a).total_cmp(&light(**b));
@@ -248,32 +252,32 @@ impl<'a> Campaign<'a> {
         (light(b) > light(a)).then(|| level(a) - light(a) * (level(b) - level(a)) / (light(b) - light(a)))
     }
 
-    /// Level at which all flats that are not clipped would have no light, DN.
+    /// Returns the level of flats without light, DN, from all unclipped flats.
     pub fn black_of_flats(&self) -> Option<f64> {
         self.black_of(&self.places(|s| s.is_lit() && !s.clipped)).filter(|dn| *dn > 0.0)
     }
 
-    /// Scatter of the means of dark frames, DN.
+    /// Returns the scatter of the means of dark frames, DN.
     pub fn dark_scatter_dn(&self) -> f64 {
         let steps = self.steps(|s| s.kind == Kind::Dark, |_| 1.0);
         if steps.is_finite() { steps.max(MIN_MEAN_SCATTER_DN) } else { MIN_MEAN_SCATTER_DN }
     }
 
-    /// Scatter of the means of flats, relative to their signal.
+    /// Returns the scatter of the means of flats, relative to their signal.
     fn flat_scatter(&self, zero: &Zero) -> f64 {
         let above = |s: &SetView| (s.level_dn() - zero.at(s.exposure_s)).max(1.0);
         let steps = self.steps(|s| s.is_lit() && !s.clipped, above);
         if steps.is_finite() { steps } else { 0.0 }
     }
 
-    /// Scatter of frame means by the steps from one to the next: a frame that is off moves two of them, and a
+    /// Returns the scatter of frame means from successive differences: an outlier affects two of them, a
     /// drift none.
     fn steps(&self, wanted: impl Fn(&SetView) -> bool, scale: impl Fn(&SetView) -> f64) -> f64 {
         let mut all = Vec::new();
         for i in self.places(wanted) {
             let (set, by) = (&self.sets[i], scale(&self.sets[i]));
             let means = set.settled_dn();
-            // The first step may carry what came before, where there are others.
+            // The first difference may contain carry-over, so it is skipped if there are others.
             let skip = usize::from(means.len() > 3);
             all.extend(means.windows(2).skip(skip).map(|w| (w[1] - w[0]).abs() / by));
         }
@@ -285,15 +289,16 @@ impl<'a> Campaign<'a> {
         Scatter { zero: *zero, flat_rel: self.flat_scatter(zero), dark_dn: self.dark_scatter_dn() }
     }
 
-    /// Share of a change of level that first frames usually carry over; `None` with fewer than three changes.
+    /// Returns the usual carry-over of a level change into first frames; `None` with fewer than three
+    /// changes.
     pub fn carried(&self, scatter: &Scatter) -> Option<f64> {
         let changes = self.large_changes(scatter).into_iter().map(|(_, change)| change).collect();
         let shares = shares(changes);
         (shares.len() >= MIN_CHANGES.0).then(|| median(shares.into_iter()))
     }
 
-    /// Sets after a change of level that is large beside the scatter of frames, and the share of the change that
-    /// the first frame of each has.
+    /// Returns the sets after a level change that is large beside the scatter of frames, and the part of
+    /// the change in the first frame of each.
     pub fn shares_of_firsts(&self, scatter: &Scatter) -> Vec<(usize, f64)> {
         self.large_changes(scatter).into_iter().map(|(set, (change, first))| (set, first / change)).collect()
     }
@@ -330,8 +335,8 @@ impl<'a> Campaign<'a> {
         else {
             return true;
         };
-        // The ends of the range are extrapolated: bias frames may have a level of their own, and the longest dark
-        // may lie as much higher as the slope of the others allows.
+        // The ends of the range are extrapolated: bias frames may have their own level, and the longest
+        // dark may be higher by as much as the slope of the others allows.
         let others = || points.iter().enumerate().filter(|(k, _)| *k != own).map(|(_, p)| p);
         let (t, y) = (points[own].factors[1], points[own].value);
         if others().all(|p| p.factors[1] > 1.1 * t && p.value > y) {
@@ -353,7 +358,7 @@ impl<'a> Campaign<'a> {
         law.is_none_or(|law| law.out.contains(&own))
     }
 
-    /// Sets of equal stated settings.
+    /// Returns groups of sets with equal stated settings.
     pub fn repeats(&self) -> Vec<Vec<usize>> {
         let mut all: BTreeMap<(u64, u64, u32, usize), Vec<usize>> = BTreeMap::new();
         for i in self.places(|s| s.is_lit() && !s.clipped) {
@@ -364,25 +369,25 @@ impl<'a> Campaign<'a> {
         all.into_values().filter(|v| v.len() > 1).collect()
     }
 
-    /// Returns true if light is stated in photons, as in an EMVA 1288 descriptor.
+    /// Returns true if the light is stated in photons, as in an EMVA 1288 descriptor.
     pub fn light_is_in_photons(&self) -> bool {
         self.dataset.light_is_nominal()
     }
 
-    /// Returns true for one campaign with one position of card and light: levels depend on exposure and light
-    /// only.
+    /// Returns true for one campaign with one position of card and light: levels depend only on exposure
+    /// and light.
     pub fn is_one_bench(&self) -> bool {
         let lit = self.places(SetView::is_lit);
         let first = lit.first().map(|i| (self.sets[*i].configuration, self.sets[*i].part));
         lit.iter().all(|i| Some((self.sets[*i].configuration, self.sets[*i].part)) == first)
     }
 
-    /// Returns true for one campaign, not several joined ones.
+    /// Returns true for a single campaign, not several joined ones.
     pub fn is_of_one_part(&self) -> bool {
         self.sets.windows(2).all(|w| w[0].part == w[1].part)
     }
 
-    /// Places of flats with a pattern, one list for each position of card and light.
+    /// Returns the indices of flats with a pattern, grouped by position of card and light.
     pub fn flats_by_field(&self) -> BTreeMap<u32, Vec<usize>> {
         let mut out: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
         for i in self.places(|s| s.is_lit() && s.has_pattern()) {
@@ -391,23 +396,23 @@ impl<'a> Campaign<'a> {
         out
     }
 
-    /// Returns true if codes hide the noise of a set: of a coarse converter variance and fixed pattern are those
-    /// of rounding (EMVA 1288 release 4, appendix C.4, in steps of the converter), of others less is left than
-    /// rounding adds.
+    /// Returns true if rounding hides the noise of a set: with a coarse converter, variance and fixed
+    /// pattern are those of rounding (EMVA 1288 release 4, appendix C.4, in converter steps); otherwise
+    /// the remaining variance is below that of rounding.
     pub fn is_rounded(&self, set: &SetView) -> bool {
         let step = self.code_step_dn;
         let least_dn2 = if step > MIN_COARSE_STEP_DN { SMALLEST_DARK_DN2 * step.powi(2) } else { QUIET_DN2 };
         set.variance_dn2().is_some_and(|v| v.0 < least_dn2)
     }
 
-    /// Returns true if the patterns of all these sets have one size.
+    /// Returns true if the patterns of all these sets have the same size.
     pub fn are_of_one_size<'s>(&self, mut sets: impl Iterator<Item = &'s usize>) -> bool {
         let size = |i: &usize| (self.sets[*i].facts.middle_dn.len(), self.sets[*i].facts.middle_columns);
         let first = sets.next().map(size);
         sets.all(|i| Some(size(i)) == first)
     }
 
-    /// A fault of whole sets, which are left out where that is wanted.
+    /// Creates a fault of whole sets, which are excluded if requested.
     pub fn fault_of_sets(
         &mut self,
         kind: FaultKind,
@@ -428,7 +433,7 @@ impl<'a> Campaign<'a> {
         }
     }
 
-    /// A fault of single frames (set, place), which are left out.
+    /// Creates a fault of single frames (set, index), which are excluded.
     pub fn fault_of_frames(&mut self, kind: FaultKind, frames: &[(usize, usize)], text: String) -> DataFault {
         let mut sets: Vec<usize> = frames.iter().map(|f| f.0).collect();
         sets.sort_unstable();
@@ -443,7 +448,7 @@ impl<'a> Campaign<'a> {
         }
     }
 
-    /// Flags the rows of the dataset that are left out.
+    /// Flags the excluded rows of the dataset.
     pub(super) fn rows_left_out(&self) -> Vec<bool> {
         let mut out = vec![false; self.dataset.rows().len()];
         for (set, view) in self.dataset.sets().iter().zip(&self.sets) {
@@ -455,7 +460,7 @@ impl<'a> Campaign<'a> {
         out
     }
 
-    /// Sets that are left out and were exposed between the others.
+    /// Returns excluded sets that were exposed between the others.
     pub(super) fn passed_over(&self, faults: &[DataFault]) -> Vec<PassedOver> {
         let has = |number: u32, kind: FaultKind| {
             faults.iter().any(|f| f.left_out && f.kind == kind && f.sets.contains(&number))
@@ -470,7 +475,7 @@ impl<'a> Campaign<'a> {
         self.sets.iter().filter(exposed).map(passed_over).collect()
     }
 
-    /// Sets by their numbers, in words.
+    /// Lists sets by number.
     pub fn named(&self, sets: &[usize]) -> String {
         let numbers: Vec<String> = sets.iter().map(|&s| self.sets[s].number.to_string()).collect();
         match numbers.as_slice() {
@@ -481,15 +486,15 @@ impl<'a> Campaign<'a> {
     }
 }
 
-/// Shares of the large ones of changes of level (DN) that first frames have, from both.
+/// Returns the carry-over of the large level changes; pairs of level change and carried part, DN.
 fn shares(mut changes: Vec<(f64, f64)>) -> Vec<f64> {
     let most = changes.iter().map(|c| c.0.abs()).fold(0.0, f64::max);
     changes.retain(|c| c.0.abs() > MIN_CHANGE * most);
     changes.into_iter().map(|c| c.1 / c.0).collect()
 }
 
-/// Median of shares that are one; `None` where they scatter as those of flicker do, or are too small to
-/// matter.
+/// Returns the median of a consistent carry-over; `None` if the values scatter like flicker, or are
+/// negligible.
 fn usual(shares: &[f64]) -> Option<f64> {
     let share = median(shares.iter().copied());
     let scatter = median(shares.iter().map(|s| (s - share).abs())) / MAD_OF_NORMAL;
@@ -497,8 +502,8 @@ fn usual(shares: &[f64]) -> Option<f64> {
     (matters && scatter < MAX_SHARE_SCATTER * share).then_some(share)
 }
 
-/// Intercept and slope by the median of the slopes between all points (Theil 1950, Sen 1968); of one abscissa
-/// the median and 0.
+/// Returns intercept and slope by the median of the slopes between all points (Theil 1950, Sen 1968);
+/// for a single abscissa the median and 0.
 pub(super) fn median_line(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     if points.is_empty() {
         return None;
@@ -522,8 +527,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Flicker of any size is no share that is carried: at most 1 in 1000 of 20,000 campaigns of 8 to 30
-    /// changes. A lag of 1 % under flicker of 0.1 % is found in all.
+    /// Flicker of any amplitude is not taken for carry-over: at most 1 in 1000 of 20,000 campaigns of 8
+    /// to 30 changes. A lag of 1 % under flicker of 0.1 % is found in all.
     #[test]
     fn flicker_is_no_lag() {
         let mut false_ones = 0;

@@ -1,21 +1,21 @@
-//! Copies of one frame: temporal noise never repeats.
+//! Duplicate frames: temporal noise never repeats.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::statistics::median::median;
 use std::collections::BTreeMap;
 
-/// Pixels that frames usually differ in, from which on two that do not are one: where each differs by chance, the
-/// chance of none is below 1e-13.
+/// Minimum usual number of differing pixels at which two identical frames are duplicates: if each
+/// differs by chance, the probability that none does is below 1e-13.
 const MIN_CHANGED_PIXELS: f64 = 30.0;
-/// Largest share of the pixels in which a copy may differ: cameras and programs write a number or the time into
-/// a corner of the frame.
+/// Maximum fraction of pixels in which a copy may differ: cameras and programs write a number or the
+/// time into a corner of the frame.
 const MAX_STAMP_SHARE: f64 = 0.01;
-/// Least share of the pixels in which frames of the same level usually differ then.
+/// Minimum fraction of pixels in which frames of the same level usually differ in that case.
 const MIN_CHANGED_SHARE: f64 = 0.4;
-/// Signal from which light alone makes frames differ, DN.
+/// Minimum signal at which light alone makes frames differ, DN.
 const MIN_SIGNAL_DN: f64 = 20.0;
 
-/// The check.
+/// Check for duplicate frames.
 pub struct CopiedFrames;
 
 impl Check for CopiedFrames {
@@ -32,7 +32,7 @@ impl Check for CopiedFrames {
         if copies.is_empty() && stamped.is_empty() {
             return Vec::new();
         }
-        // How much frames of a set differ that are not the same.
+        // Median number of pixels that differ between frames of a set, duplicates excluded.
         let changes = |set: usize| {
             let all = campaign.sets[set].facts.changed.iter().skip(1).filter(|c| **c > 0);
             median(all.map(|c| *c as f64))
@@ -48,11 +48,11 @@ impl Check for CopiedFrames {
             if own.is_finite() {
                 return own >= MIN_CHANGED_PIXELS;
             }
-            // At full scale nothing is left to differ, be it below the largest code.
+            // At saturation nothing is left to differ, even if it is below the largest code.
             if view.clipped || has_one_code(&view.facts.middle_dn) {
                 return false;
             }
-            // All are the same: sets of less light tell.
+            // All frames are identical: use sets of less light.
             let level = view.level_dn();
             let darker =
                 campaign.places(|_| true).into_iter().filter(|s| campaign.sets[*s].level_dn() <= level);
@@ -81,19 +81,20 @@ impl Check for CopiedFrames {
     }
 }
 
-/// Returns true if most pixels have one code: saturated, whatever else is there.
+/// Returns true if most pixels have a single code: saturated.
 fn has_one_code(middle_dn: &[f32]) -> bool {
     let middle = median(middle_dn.iter().map(|v| f64::from(*v)));
     median(middle_dn.iter().map(|v| (f64::from(*v) - middle).abs())) == 0.0
 }
 
-/// Frames that differ from the one before in a corner alone, where others of their level differ everywhere.
+/// Finds frames that differ from the previous one only in a corner, while others of their level differ
+/// everywhere.
 fn stamped(campaign: &Campaign<'_>) -> Vec<(usize, usize)> {
     let all = campaign.places(|s| !s.clipped);
     let pixels = |set: usize| campaign.sets[set].facts.pixels;
-    // Samples that stand far off are not counted: a short stamp may change none.
+    // Outlier samples are not counted: a short stamp may change none.
     let is_stamp = |set: usize, changed: u64| (changed as f64) < MAX_STAMP_SHARE * pixels(set);
-    // Share of the pixels that noise changes.
+    // Fraction of the pixels changed by noise.
     let usual = |set: usize| {
         let changed = campaign.sets[set].facts.changed.iter().skip(1).filter(|c| !is_stamp(set, **c));
         median(changed.map(|c| *c as f64)) / pixels(set)

@@ -1,8 +1,8 @@
-//! Darks whose exposures are exchanged: the shorter ones have the level and the hot pixels of the longer
+//! Darks with exchanged exposures: the shorter ones have the level and the hot pixels of the longer
 //! ones.
 //!
-//! A black-level clamp or a drift may lower the level of long darks; the dark charge of single pixels grows
-//! with the exposure whatever the level does, and so does its noise.
+//! A black-level clamp or a drift may lower the level of long darks; the dark charge of single pixels,
+//! and its noise, grow with the exposure regardless of the level.
 
 use super::campaign::median_line;
 use super::patterns::{noise_of_mean, pattern_of};
@@ -13,36 +13,36 @@ use crate::dataset::Kind;
 use crate::number::six_digits;
 use std::ops::RangeInclusive;
 
-/// Least ratio of the exposures.
+/// Minimum ratio of the exposures.
 const MIN_RATIO: f64 = 1.5;
-/// Least fall of the level, in scatters of the darks' means and in DN; the second is smaller if the hot pixels fall
-/// too (named choices).
+/// Minimum fall of the level, in scatters of the darks' means and in DN; the second is smaller if the
+/// hot pixels fall too (named choices).
 const FALL: (f64, f64) = (10.0, 1.0);
 const FALL_OF_HOT_DN: f64 = 0.1;
-/// Largest ratio of the spread of the longest dark to that of the shortest: with a large fall of the level, and with
-/// a small one; the fall of the spread in its standard errors is then at least this.
+/// Maximum ratio of the spread of the longest dark to that of the shortest, for a large and for a small
+/// fall of the level; the fall of the spread is then at least this many standard errors.
 const MAX_SPREAD_SHARE: f64 = 0.7;
 const MAX_HOT_SHARE: f64 = 0.3;
 const MIN_SPREAD_SIGMAS: f64 = 10.0;
 
-/// Ratio of levels from which on one dark may be a part of the other (the last two bits make 4), and largest
-/// deviation of the noise from that ratio.
+/// Minimum ratio of levels at which one dark may be a scaled copy of the other (two lost bits make 4),
+/// and maximum deviation of the noise from that ratio.
 const SCALED: (f64, f64) = (3.0, 1.5);
 
-/// Largest ratio between the fall of the variance and that of the noise of a charge, and least fall in its
-/// errors (named choices).
+/// Maximum ratio between the fall of the variance and that of the noise of a charge, and minimum fall in
+/// its errors (named choices).
 const AS_CHARGE: (f64, f64) = (1.5, 5.0);
 
-/// Numbers of darks of which one pair is told, pair by pair, and largest share of the deviation from a line
-/// that is left when it is exchanged back (named choices).
+/// Numbers of darks among which one pair is searched for, pair by pair, and maximum deviation from a
+/// line after the exchange, relative to that before (named choices).
 const DARKS_OF_A_PAIR: RangeInclusive<usize> = 4..=32;
 const MAX_SCATTER_EXCHANGED: f64 = 0.3;
 
-/// The check.
+/// Check for exchanged labels of darks.
 pub struct DarkLabels;
 
-/// Returns true if dark b has less noise than dark a by as much as the charge between their levels has: the
-/// system gain times the difference of the levels (Healey and Kondepudy 1994, eq. 35).
+/// Returns true if the noise of dark b is lower than that of dark a by the noise of the charge between
+/// their levels: system gain times the level difference (Healey and Kondepudy 1994, eq. 35).
 fn falls_as_charge(campaign: &Campaign<'_>, a: usize, b: usize) -> bool {
     let variance = |i: usize| Some(campaign.sets[i].variance_dn2()?.0);
     let transfer = || Transfer::of(campaign, &campaign.zero()?, &[]);
@@ -56,14 +56,14 @@ fn falls_as_charge(campaign: &Campaign<'_>, a: usize, b: usize) -> bool {
         && charge < AS_CHARGE.0 * fall
 }
 
-/// Spread over the pixels that is not noise, DN^2: hot pixels and all.
+/// Returns the spread over the pixels that is not noise, DN^2, hot pixels included.
 fn spread_dn2(set: &SetView) -> f64 {
     let pattern = pattern_of(set);
     pattern.iter().map(|v| v * v).sum::<f64>() / pattern.len().max(1) as f64 - noise_of_mean(set)
 }
 
-/// Returns true if dark b lacks the hot pixels of dark a: most of the spread of a is missing, by more than noise
-/// brings.
+/// Returns true if dark b lacks the hot pixels of dark a: most of the spread of a is missing, by more
+/// than noise explains.
 fn falls_with_hot_pixels(a: &SetView, b: &SetView) -> bool {
     let pixels = a.facts.middle_dn.len().max(1) as f64;
     let noise = noise_of_mean(a).hypot(noise_of_mean(b)) * (2.0 / pixels).sqrt();
@@ -71,15 +71,16 @@ fn falls_with_hot_pixels(a: &SetView, b: &SetView) -> bool {
     of_b < MAX_HOT_SHARE * of_a && of_a - of_b > MIN_SPREAD_SIGMAS * noise
 }
 
-/// Returns true if black level and noise of dark b are those of dark a divided by one number, or b has no
-/// noise at all: codes that lost their last bits, or an image that is not of the sensor.
+/// Returns true if black level and noise of dark b are those of dark a divided by one number, or b has
+/// no noise at all: codes that lost their last bits, or an image that is not from the sensor.
 fn is_scaled(a: &SetView, b: &SetView) -> bool {
     let deviation = |set: &SetView| set.variance_dn2().map_or(0.0, |v| v.0.sqrt());
     let (level, noise) = (a.level_dn() / b.level_dn(), deviation(a) / deviation(b));
     level > SCALED.0 && (noise / level > SCALED.1.recip() || !noise.is_finite())
 }
 
-/// Darks that are a part of the others, where the flats meet zero exposure at the level of these.
+/// Finds darks that are scaled copies of the others, if the flats extrapolate to the level of the latter
+/// at zero exposure.
 fn scaled(campaign: &mut Campaign<'_>, darks: &[usize]) -> Option<DataFault> {
     let black_dn = campaign.black_of_flats()?;
     let off = |i: usize| (campaign.sets[i].level_dn() / black_dn).ln().abs();
@@ -98,8 +99,8 @@ fn scaled(campaign: &mut Campaign<'_>, darks: &[usize]) -> Option<DataFault> {
     Some(campaign.fault_of_sets(FaultKind::OtherSettings, &wrong, text, true))
 }
 
-/// Two darks among others whose exposures are exchanged: by their hot pixels, and because the level of all grows
-/// with the exposure when they are exchanged back, and as stated does not.
+/// Finds a pair of darks with exchanged exposures: by their hot pixels, and because the level of all
+/// grows with exposure after the exchange but not as stated.
 fn one_pair(campaign: &mut Campaign<'_>, darks: &[usize]) -> Option<DataFault> {
     let stated: Vec<(f64, f64)> =
         darks.iter().map(|&i| (campaign.sets[i].exposure_s, campaign.sets[i].level_dn())).collect();
@@ -124,14 +125,14 @@ fn one_pair(campaign: &mut Campaign<'_>, darks: &[usize]) -> Option<DataFault> {
         .then(|| exchanged(campaign, &[pair.0.min(pair.1), pair.0.max(pair.1)], pair))
 }
 
-/// Largest deviation of levels from the line over the exposure, DN, and its slope, DN/s.
+/// Returns the largest deviation of levels from the line over exposure, DN, and its slope, DN/s.
 fn furthest_off(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     let (dn, dn_per_s) = median_line(points)?;
     let off = points.iter().map(|(exposure_s, level_dn)| (level_dn - dn - dn_per_s * exposure_s).abs());
     Some((off.fold(0.0, f64::max), dn_per_s))
 }
 
-/// Fault of darks whose exposures are exchanged; `example`: one stated short and one stated long.
+/// Creates the fault of darks with exchanged exposures; `example`: one stated short and one stated long.
 fn exchanged(campaign: &mut Campaign<'_>, sets: &[usize], example: (usize, usize)) -> DataFault {
     let stated = |i: usize| {
         let set = &campaign.sets[i];
@@ -166,7 +167,7 @@ impl Check for DarkLabels {
         {
             return one_pair(campaign, &darks).into_iter().collect();
         }
-        // The order by level is that by exposure where labels are right.
+        // With correct labels the order by level equals that by exposure.
         let mut by_level = darks.clone();
         by_level.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
         let mut wrong: Vec<usize> = darks

@@ -1,8 +1,9 @@
-//! A dark of another black level or gain than the other darks.
+//! Dark with another black level or gain than the other darks.
 //!
-//! Dark charge raises the level and the noise: what the variance has beyond that of the quietest dark, over the
-//! gain that the flats show, is what the level has beyond the black level (the charge is Poisson: Healey and
-//! Kondepudy 1994, eq. 6). A black-level clamp takes a part of that, or all, in all darks alike.
+//! Dark charge raises level and noise: the excess of the variance over that of the quietest dark,
+//! divided by the gain of the flats, equals the excess of the level over the black level (the charge is
+//! Poisson: Healey and Kondepudy 1994, eq. 6). A black-level clamp removes part or all of that, equally
+//! in all darks.
 
 use super::law::{Law, Point};
 use super::set_view::SetView;
@@ -14,26 +15,27 @@ use crate::statistics::median::median;
 
 /// Usual scatter of a dark set's level, DN.
 const SET_SCATTER_DN: f64 = 0.1;
-/// Least deviation that is said, DN.
+/// Minimum deviation that is reported, DN.
 const MIN_SHIFT_DN: f64 = 1.0;
-/// Share of the dark charge up to which a level is that of another temperature.
+/// Maximum deviation, relative to the dark charge, that another temperature explains.
 const MAX_SHARE_OF_CHARGE: f64 = 0.05;
-/// Standard deviation of the prior on the growth of the level with the charge: hot pixels and a clamp change it.
+/// Standard deviation of the prior on the growth of the level with the charge: hot pixels and a clamp
+/// affect it.
 const CHARGE_PRIOR: f64 = 0.5;
-/// Least variance that tells dark charge, DN^2 (a named choice: rounding alone brings 0.083).
+/// Minimum variance that shows dark charge, DN^2 (a named choice: rounding alone adds 0.083).
 const MIN_VARIANCE_DN2: f64 = 0.15;
-/// Darks below which none stands out.
+/// Minimum number of darks among which one can stand out.
 const MIN_DARKS: usize = 3;
-/// Ratio of the noise's standard deviations up to which the gain is the same.
+/// Maximum ratio of the noise standard deviations at equal gain.
 const MAX_NOISE_RATIO: f64 = 1.1;
 
-/// The check.
+/// Check for darks of other settings.
 pub struct DarkSettings;
 
 impl Check for DarkSettings {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero() else { return Vec::new() };
-        // Of darks that are cut off at code 0, or whose noise rounding decides, nothing follows.
+        // Darks clipped at code 0, or with noise dominated by rounding, are not used.
         let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > MIN_VARIANCE_DN2 && !s.is_cut_off());
         let usable = |s: &SetView| !s.clipped && s.is_of_one_level(&zero) && told(s);
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
@@ -56,7 +58,8 @@ impl Check for DarkSettings {
         let mut found = Vec::new();
         for &k in &law.out {
             let (i, off) = (darks[k], points[k].value - law.at(&points[k].factors));
-            // One dark that has more charge than all others says alone what that does to its level.
+            // A single dark with more charge than all others is the only evidence of the effect of
+            // charge on its level.
             let alone = charge.iter().filter(|c| **c >= 0.5 * charge[k]).count() == 1;
             if off.abs() < MIN_SHIFT_DN.max(MAX_SHARE_OF_CHARGE * charge[k])
                 || alone && off.abs() < 1.5 * charge[k]
@@ -71,7 +74,7 @@ impl Check for DarkSettings {
                 let ratio = campaign.sets[*d].exposure_s / campaign.sets[i].exposure_s;
                 (0.5..2.0).contains(&ratio)
             };
-            // Charge grows with the exposure, and its noise with it.
+            // Charge and its noise grow with the exposure.
             let sound = || (0..darks.len()).filter(|d| !law.out.contains(d)).map(|d| darks[d]);
             let least = sound().map(|d| var(d).0).fold(f64::INFINITY, f64::min);
             let of_charge =

@@ -1,12 +1,12 @@
-//! Darks that are not of the flats' camera, gain or black level, all of them alike: no dark stands out among
-//! the others, and only the flats can tell.
+//! Darks that all have another camera, gain or black level than the flats: no dark stands out among the
+//! others, and only the flats reveal it.
 //!
-//! The flats have the fixed pattern of the darks too: over the level, each pixel of theirs lies on a line
-//! (offset and response: Healey and Kondepudy 1994, eq. 22), whose value at zero signal is the pattern of the
-//! offsets. Its regression on the pattern of the darks is 1; another gain makes it the ratio of the gains,
-//! and another camera, a turned frame, or dark frames taken off in the camera make it 0. Where the black
-//! level differs, the level and the noise of the flats both meet the darks elsewhere; an exposure longer than
-//! stated moves the level alone.
+//! The flats contain the fixed pattern of the darks: over the level, each of their pixels lies on a line
+//! (offset and response: Healey and Kondepudy 1994, eq. 22), whose value at zero signal is the offset
+//! pattern. The regression of that on the dark pattern is 1; another gain makes it the ratio of the
+//! gains; another camera, a turned frame, or dark subtraction in the camera make it 0. If the black
+//! level differs, both level and noise of the flats meet the darks elsewhere; an exposure longer than
+//! stated shifts only the level.
 
 use super::campaign::Zero;
 use super::law::{Law, Point};
@@ -20,64 +20,64 @@ use crate::statistics::median::median;
 use crate::statistics::quantisation::QUANTISATION_DN2;
 use std::collections::BTreeMap;
 
-/// Standard deviations from 1 of the pattern in the flats from which on darks are other ones.
+/// Minimum deviation from 1 of the pattern in the flats, standard deviations.
 const MIN_SIGMAS: f64 = 8.0;
-/// Share of the pattern up to which it is not there at all.
+/// Maximum fraction of the pattern at which it counts as absent.
 const MAX_ABSENT: f64 = 0.2;
-/// Least ratio of two gains that is said (cameras step in 1 dB or more: 1.12), and a margin.
+/// Minimum ratio of two gains that is reported (cameras step in 1 dB or more: 1.12), and a margin.
 const MIN_GAIN_RATIO: f64 = 1.25;
-/// Share of the noise that neighbours have in common from which on the flats were filtered (a named choice).
+/// Minimum fraction of the noise shared by neighbours in filtered flats (a named choice).
 const MAX_SHARED: f64 = 0.1;
-/// Least ratio of the levels of the flats by which their lines lead to zero signal.
+/// Minimum ratio of the flats' levels for an extrapolation to zero signal.
 const MIN_RANGE: f64 = 2.5;
-/// Part of the range that a straight response may bend.
+/// Maximum bend of a straight response, relative to the range.
 const MAX_BEND: f64 = 0.03;
-/// Difference of the exposures, relative, up to which the dark charge of one stands for that of another.
+/// Maximum relative difference of exposures with interchangeable dark charge.
 const SAME_EXPOSURE: f64 = 0.2;
-/// Ratio of a dark's exposure to that of the longest flat up to which it counts (a named choice; the standard
-/// plan has 16): the charge of far longer ones is the larger part of their pattern, and hot pixels of theirs
-/// are full.
+/// Maximum ratio of a dark's exposure to that of the longest flat (a named choice; the standard plan has
+/// 16): the charge of far longer darks dominates their pattern, and their hot pixels are saturated.
 const MAX_LONGER: f64 = 20.0;
-/// Least change of level within a dark set that shows light carried over from earlier frames, relative to the
-/// brightest flat's signal (a named choice: no black level moves by as much).
+/// Minimum level change within a dark set that shows light carried over from earlier frames, relative to
+/// the brightest flat's signal (a named choice: no black level moves by as much).
 const MIN_CARRIED_REL: f64 = 0.02;
-/// Most darks of which every pair is tried.
+/// Maximum number of darks for a search over all pairs.
 const MAX_DARKS_FOR_PAIRS: usize = 8;
-/// Ratio of the darks' exposures from which on they tell the growth of the pattern.
+/// Minimum ratio of the darks' exposures that determines the growth of the pattern.
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
-/// Usual bend of a response at the highest level, of the range, scatter of a lamp, and least error of a
-/// level, DN (named choices).
+/// Usual bend of a response at the highest level, relative to the range, scatter of a lamp, and minimum
+/// error of a level, DN (named choices).
 const USUAL_BEND: f64 = 0.2;
 const LAMP_SCATTER: f64 = 0.002;
 const MIN_STD_DN: f64 = 0.02;
-/// Standard deviations of the noise by which the black level of the darks is not that of the flats, within
-/// which it is the one that the level tells, and the least difference of their squares (named choices: the level
-/// says so too).
+/// Minimum significance by noise that the darks' black level differs from the flats', maximum distance
+/// from the one given by the level, standard deviations, and minimum difference of their squares (named
+/// choices: the level must agree).
 const BLACK: (f64, f64) = (4.0, 3.0);
 const MIN_DIFFERENCE_OF_SQUARES: f64 = 9.0;
-/// Largest error of the flats' level at zero light, relative to that of the darks, that tells
+/// Maximum error of the flats' level at zero light, relative to that of the darks, that distinguishes
 /// dark-subtracted flats and lost bits from a coincidence (a named choice).
 const MAX_REL_ERROR_AT_ZERO: f64 = 0.12;
-/// Distance from code 0, or from a multiple of the darks' level, relative to that level, that any error
-/// allows: a black level drifts by less (a named choice).
+/// Minimum tolerance around code 0, or a multiple of the darks' level, relative to that level: a black
+/// level drifts by less (a named choice).
 const MIN_REL_TOLERANCE: f64 = 0.01;
-/// Standard deviations by which the noise of darks with lost bits is below that of the flats at zero light.
+/// Minimum deficit of the noise of darks with lost bits below that of the flats at zero light, standard
+/// deviations.
 const MIN_SIGMAS_OF_LOST_BITS: f64 = 4.0;
-/// Largest number of lost bits that is looked for.
+/// Maximum number of lost bits that is searched for.
 const MAX_LOST_BITS: u32 = 8;
-/// Least ratio of the noise of the darks to that of the flats at zero light by which they are of another gain (a
+/// Minimum ratio of the noise of the darks to that of the flats at zero light that shows another gain (a
 /// named choice).
 const MIN_VARIANCE_RATIO: f64 = 1.6;
-/// Least difference of the black levels that is said, DN.
+/// Minimum difference of the black levels that is reported, DN.
 const MIN_BLACK_DN: f64 = 2.0;
 
-/// The check.
+/// Check for darks that do not match the flats.
 pub struct DarksOfFlats;
 
 impl Check for DarksOfFlats {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let Some(zero) = campaign.zero().filter(|_| campaign.is_of_one_part()) else { return Vec::new() };
-        // Rounding makes a pattern of its own where noise does not blur it.
+        // Rounding creates its own pattern unless noise dithers it.
         let steps = campaign.sets.iter().map(|s| s.facts.step_dn.max(s.facts.code_step_dn));
         let blurred_dn2 = MIN_VARIANCE_DN2 * steps.fold(1.0, f64::max).powi(2);
         let told = |s: &SetView| s.variance_dn2().is_some_and(|v| v.0 > blurred_dn2);
@@ -92,15 +92,15 @@ impl Check for DarksOfFlats {
             most - least > MIN_CARRIED_REL * (brightest - least)
         };
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s) && !is_long(s));
-        // Darks whose noise rounding hides have a level.
+        // Darks whose noise is hidden by rounding still have a valid level.
         let has_level = |s: &SetView| s.has_pattern() && !s.is_cut_off() && !is_long(s);
         let with_level = campaign.places(|s| s.kind == Kind::Dark && has_level(s));
         let mut flats = campaign.flats_by_field();
         flats.values_mut().for_each(|sets| sets.retain(|&i| usable(&campaign.sets[i])));
-        // One level has no line.
+        // A single level gives no line.
         flats.retain(|_, sets| sets.len() > 1);
         let of_one_size = campaign.are_of_one_size(darks.iter().chain(flats.values().flatten()));
-        // Carried light has the flats' pattern, and darks after dim flats carry some as well.
+        // Carried-over light has the pattern of the flats, and darks after dim flats carry some as well.
         let carried = with_level.iter().any(|&i| carries(&campaign.sets[i]));
         if with_level.is_empty() || flats.is_empty() || !of_one_size || carried {
             return Vec::new();
@@ -133,14 +133,15 @@ impl Verdict {
 
 /// Level of the flats over exposure times light.
 struct Response {
-    /// Level at no light, above the darks, DN, and its standard deviation.
+    /// Level at zero light, above the darks, DN, and its standard deviation.
     black_dn: (f64, f64),
-    /// True if it is known to be straight.
+    /// True if the response is known to be straight.
     straight: bool,
 }
 
 impl Response {
-    /// Fits one line for each position of card and light, which meet at no light and bend alike.
+    /// Fits one line for each position of card and light, with a common level at zero light and a common
+    /// bend.
     fn of(campaign: &Campaign<'_>, flats: &BTreeMap<u32, Vec<usize>>, zero: &Zero) -> Option<Self> {
         let light = |i: usize| campaign.sets[i].light();
         let above = |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s);
@@ -167,14 +168,14 @@ impl Response {
             let factors: Vec<f64> = (0..lines + 2).map(|i| f64::from(u8::from(i == k))).collect();
             (law.at(&factors), law.std(&Point { factors, value: 0.0, std }))
         };
-        // A bend of the range moves the middle by a quarter of it.
+        // A bend at the end of the range shifts the middle by a quarter of it.
         let bend = coefficient(1, 0.0);
         let straight = 0.25 * (bend.0.abs() + bend.1) < MAX_BEND * range;
         Some(Self { black_dn: coefficient(0, zero.scatter_dn.max(MIN_STD_DN)), straight })
     }
 }
 
-/// Verdict of the fixed pattern, in words.
+/// Returns the verdict of the fixed pattern.
 fn of_pattern(
     campaign: &Campaign<'_>,
     darks: &[usize],
@@ -182,7 +183,7 @@ fn of_pattern(
     zero: &Zero,
     response: &Response,
 ) -> Option<String> {
-    // Flats that were smoothed or sharpened have the darks' pattern so too.
+    // Smoothed or sharpened flats have a modified dark pattern too.
     let shared = flats.values().flatten().map(|&i| campaign.sets[i].facts.neighbours.share.abs());
     if median(shared) > MAX_SHARED {
         return None;
@@ -190,7 +191,7 @@ fn of_pattern(
     let columns = campaign.sets[darks[0]].facts.middle_columns;
     let above =
         |i: usize| campaign.sets[i].level_dn() - zero.at(campaign.sets[i].exposure_s) - response.black_dn.0;
-    // The value at zero signal by each position of card and light, and their mean.
+    // Value at zero signal for each position of card and light, and their mean.
     let (mut sets, mut of_flats, mut total) = (Vec::new(), Vec::new(), 0.0);
     for own in flats.values() {
         let level: Vec<f64> = own.iter().map(|&i| above(i)).collect();
@@ -209,7 +210,7 @@ fn of_pattern(
         return None;
     }
     of_flats.iter_mut().for_each(|w| *w /= total);
-    // Exposure whose dark charge the value at zero signal has.
+    // Exposure that corresponds to the dark charge of the value at zero signal.
     let exposure_s: f64 = sets.iter().zip(&of_flats).map(|(&i, w)| w * campaign.sets[i].exposure_s).sum();
     let (offsets, _) = combined(campaign, &sets, &of_flats);
     let part_of = |darks: &[usize]| {
@@ -224,8 +225,8 @@ fn of_pattern(
     if (part - 1.0).abs() < MIN_SIGMAS * std {
         return None;
     }
-    // One dark of another charge (a warm sensor, a wrong label), or two, turn the line of all: what is of all
-    // darks is told without any of them too.
+    // One or two darks of another charge (a warm sensor, a wrong label) would tilt the line of all: a
+    // property of all darks must show without any of them too.
     let is_told_without = |odd: &[usize]| {
         let others: Vec<usize> = darks.iter().copied().filter(|d| !odd.contains(d)).collect();
         let is_off = |part: f64, std: f64| (part - 1.0).abs() >= MIN_SIGMAS * std;
@@ -255,7 +256,8 @@ fn of_pattern(
     })
 }
 
-/// Weights of the darks for their pattern at an exposure; `None` where they do not tell it.
+/// Returns the weights that interpolate the dark pattern to an exposure; `None` if the darks do not
+/// determine it.
 fn at_exposure(campaign: &Campaign<'_>, darks: &[usize], exposure_s: f64) -> Option<Vec<f64>> {
     let off: Vec<f64> = darks.iter().map(|&i| campaign.sets[i].exposure_s - exposure_s).collect();
     let of = |i: usize| campaign.sets[darks[i]].exposure_s;
@@ -270,7 +272,7 @@ fn at_exposure(campaign: &Campaign<'_>, darks: &[usize], exposure_s: f64) -> Opt
     near.then(|| weight.iter().map(|w| w / sum).collect())
 }
 
-/// Verdict of level and noise on the black level.
+/// Returns the verdict of level and noise on the black level.
 fn of_black_level(
     campaign: &Campaign<'_>,
     darks: &[usize],
@@ -283,14 +285,14 @@ fn of_black_level(
     }
     let all_darks = campaign.places(|s| s.kind == Kind::Dark);
     let transfer = Transfer::by_pixels(campaign, zero, &all_darks)?;
-    // Noise of the shortest dark against that of the flats, at its level and where they have no light.
+    // Noise of the shortest dark compared with that of the flats, at its level and at zero light.
     let shortest = *darks
         .iter()
         .min_by(|a, b| campaign.sets[**a].exposure_s.total_cmp(&campaign.sets[**b].exposure_s))?;
     let (var_dn2, pairs) = campaign.sets[shortest].variance_dn2()?;
     let own = var_dn2 * (3.0 / (campaign.sets[shortest].facts.pixels * pairs)).sqrt().hypot(MODEL_ERROR);
-    // Deviation of the darks' noise, times a factor, from that of the flats at a level, standard deviations.
-    // Rounding comes after a gain.
+    // Deviation of the darks' noise, times a factor, from that of the flats at a level, standard
+    // deviations. Rounding comes after a gain.
     let off = |above_dn: f64, factor: f64| {
         let (expected, std) = transfer.expected_dn2(above_dn);
         (factor * (var_dn2 - QUANTISATION_DN2) + QUANTISATION_DN2 - expected) / std.hypot(factor * own)

@@ -1,5 +1,5 @@
-//! Frames of few sets that were averaged or filtered over time before they were saved: less noise than their
-//! level has elsewhere, or successive frames alike.
+//! Frames of a few sets that were averaged or filtered over time before saving: less noise than usual at
+//! their level, or correlated successive frames.
 
 use super::orientation::{correlation, pattern};
 use super::patterns;
@@ -10,31 +10,32 @@ use crate::dataset::Kind;
 use crate::number::six_digits;
 use crate::statistics::median::median;
 
-/// Share of the usual variance below which frames were averaged: two make it a half.
+/// Maximum ratio of the variance of averaged frames to the usual one: two frames make it a half.
 const MAX_AVERAGED_RATIO: f64 = 0.8;
-/// Ratio of the usual variance from which on a dark has another gain.
+/// Minimum ratio of the variance of a dark with another gain to the usual one.
 const MIN_GAIN_RATIO: f64 = 1.25;
-/// Share of a level from which on another set has as much light.
+/// Minimum ratio of the level of another set with as much light.
 const MIN_EQUAL_LEVEL: f64 = 0.98;
-/// Least that the variance of successive frames falls short of that of frames two apart.
+/// Minimum deficit of the variance of successive frames relative to that of frames two apart.
 const MIN_DEPENDENCE: f64 = 0.12;
 /// Minimum significance of that, standard deviations.
 const MIN_SIGMAS: f64 = 10.0;
-/// Standard deviations within which two sets lost the same share of their variance.
+/// Maximum difference of two equal variance losses, standard deviations.
 const SAME_LOSS_SIGMAS: f64 = 3.0;
-/// Standard errors of the flats' line by which the shorter of two darks has less noise than that leaves (a named
-/// choice).
+/// Minimum significance of the noise deficit of the shorter of two darks relative to the flats' line,
+/// standard errors (a named choice).
 const SIGMAS_OF_FLATS: f64 = 3.0;
-/// Least ratio of the variances of two fixed patterns of which one has that of a charge too (a named choice).
+/// Minimum ratio of the variances of two fixed patterns if only one includes that of a charge (a named
+/// choice).
 const MIN_RATIO_OF_PATTERNS: f64 = 1.3;
-/// Share of the sets up to which it is a slip: more are what the camera does.
+/// Maximum fraction of the sets that are isolated faults: more are a property of the camera.
 const MAX_SHARE_OF_SETS: f64 = 0.34;
 
-/// Darks below which none has another gain than the others by its pattern.
+/// Minimum number of darks among which one can have another gain by its pattern.
 const MIN_DARKS_FOR_A_GAIN: usize = 3;
 
-/// Amplitude of the fixed pattern of a dark over that of other darks of similar exposure; `None` without a
-/// visible pattern.
+/// Returns the amplitude of the fixed pattern of a dark relative to that of other darks of similar
+/// exposure; `None` without a visible pattern.
 fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
     let exposure_s = campaign.sets[set].exposure_s;
     let alike = |s: &SetView| s.kind == Kind::Dark && (0.5..2.0).contains(&(s.exposure_s / exposure_s));
@@ -62,13 +63,13 @@ fn pattern_gain(campaign: &Campaign<'_>, set: usize) -> Option<f64> {
     (correlated > MIN_PATTERN_CORRELATION).then_some(slope_of_it / usual)
 }
 
-/// Correlation from which on a pattern shows: ten times that of chance in 4096 pixels.
+/// Minimum correlation of a visible pattern: ten times that of chance in 4096 pixels.
 pub const MIN_PATTERN_CORRELATION: f64 = 0.16;
 
 /// Usual relative scatter of the variances of darks about a smooth law.
 const DARK_VARIANCE_SCATTER: f64 = 0.03;
 
-/// The check.
+/// Check for averaged or filtered frames.
 pub struct DependentFrames;
 
 impl Check for DependentFrames {
@@ -77,7 +78,7 @@ impl Check for DependentFrames {
         let usable = |s: &SetView| !s.clipped && !s.is_cut_off() && !campaign.is_rounded(s);
         let all = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat) && usable(s));
         let level = |i: usize| above(campaign, &zero, i);
-        // Frames alike.
+        // Correlated frames.
         let usual = median(all.iter().filter_map(|&i| campaign.sets[i].dependence()));
         let alike = |i: usize| {
             let set = &campaign.sets[i];
@@ -89,8 +90,8 @@ impl Check for DependentFrames {
         };
         let mut filtered: Vec<usize> = all.iter().copied().filter(|&i| alike(i)).collect();
         let transfer = Transfer::of(campaign, &zero, &filtered);
-        // A filter takes noise away: frames that are alike and as noisy as others drift, or their pixels
-        // jump.
+        // A filter reduces noise: correlated frames with the usual noise are drifting, or have jumping
+        // pixels.
         if let Some(transfer) = &transfer {
             let is_less = |i: usize| {
                 transfer.off(campaign, i, level(i)).is_none_or(|(off, _)| off < MAX_AVERAGED_RATIO.ln())
@@ -110,8 +111,8 @@ impl Check for DependentFrames {
                 }
             }
             let strays: Vec<usize> = transfer.strays.iter().chain(&transfer.quiet).copied().collect();
-            // Another black level moves a dark along the curve: one of the same exposure then has the same
-            // noise.
+            // Another black level shifts a dark along the curve: then another dark of the same exposure
+            // has the same noise.
             let has_twin = |i: usize| {
                 let (own, var) = (&campaign.sets[i], |d: usize| campaign.sets[d].variance_dn2().map(|v| v.0));
                 own.kind == Kind::Dark
@@ -125,14 +126,14 @@ impl Check for DependentFrames {
             for &i in strays.iter().filter(|i| !has_twin(**i)) {
                 let Some((off, std)) = transfer.off(campaign, i, level(i)) else { continue };
                 let lit = campaign.sets[i].is_lit();
-                // A well that is full takes noise away, unless another set of as much light has it.
+                // A full well reduces noise, unless another set of as much light has the full noise.
                 let full = |d: &usize| {
                     level(*d) < MIN_EQUAL_LEVEL * level(i)
                         || strays.contains(d)
                         || !campaign.sets[*d].is_lit()
                 };
                 let saturates = lit && all.iter().all(full);
-                // The fixed pattern of a dark of another gain is another; averaging leaves it.
+                // The fixed pattern of a dark scales with gain; averaging preserves it.
                 let gain = if lit { None } else { pattern_gain(campaign, i) };
                 let of_gain = gain.is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < (0.5 * off).abs());
                 if of_gain && off.abs() > MIN_GAIN_RATIO.ln() && off.abs() > MIN_SIGMAS * std {
@@ -143,7 +144,8 @@ impl Check for DependentFrames {
                     gained.push((i, off));
                 }
             }
-            // A full well takes any share off; the share that another set lost is that of averaged frames.
+            // A full well may remove any fraction; a fraction equal to that of another set points to
+            // averaging.
             let is_as_others = |&(_, off, std): &(usize, f64, f64)| {
                 averaged.iter().any(|&i| {
                     let other = transfer.off(campaign, i, level(i)).filter(|_| campaign.sets[i].is_lit());
@@ -154,8 +156,8 @@ impl Check for DependentFrames {
             };
             let same: Vec<usize> = brightest.iter().filter(|b| is_as_others(b)).map(|b| b.0).collect();
             averaged.extend(same);
-            // Rounding decides the noise of quiet darks; of those on the same part of a code it decides the
-            // same.
+            // Rounding determines the noise of quiet darks, equally for those at the same fraction of a
+            // code.
             let darks = || all.iter().copied().filter(|&i| campaign.sets[i].kind == Kind::Dark);
             let known: Vec<usize> = averaged.iter().copied().chain(gained.iter().map(|g| g.0)).collect();
             for i in darks().filter(|i| !known.contains(i)) {
@@ -176,7 +178,7 @@ impl Check for DependentFrames {
                     .is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < 0.6 * off.abs());
                 if off > 0.0 || of_gain { gained.push((i, off)) } else { averaged.push(i) }
             }
-            // A smooth change of the darks' noise with the exposure is the sensor's.
+            // A smooth change of the dark noise with exposure is a property of the sensor.
             let smooth = |i: usize| {
                 let var = |d: usize| campaign.sets[d].variance_dn2().map_or(f64::NAN, |v| v.0.ln());
                 let is_dark = campaign.sets[i].kind == Kind::Dark;
@@ -186,8 +188,8 @@ impl Check for DependentFrames {
             };
             averaged.retain(|i| !smooth(*i));
             gained.retain(|g| !smooth(g.0));
-            // The noise of long darks is that of their charge: a gain is told by another dark that would have
-            // it.
+            // The noise of long darks is that of their charge: another gain needs another dark that
+            // would share it.
             let gains: Vec<usize> = gained.iter().map(|g| g.0).collect();
             let told = |i: usize| {
                 let alike = |&d: &usize| {
@@ -198,7 +200,7 @@ impl Check for DependentFrames {
             };
             gained.retain(|g| told(g.0));
         }
-        // A deviation that all repeats of a setting have is the camera's.
+        // A deviation shared by all repeats of a setting is a property of the camera.
         let alone = averaged.clone();
         let repeats = |i: usize, d: usize| {
             let (a, b) = (&campaign.sets[i], &campaign.sets[d]);
@@ -209,10 +211,10 @@ impl Check for DependentFrames {
             filtered.contains(&i) || others.peek().is_none() || others.any(|d| !alone.contains(d))
         });
         averaged.sort_unstable();
-        // Two darks do not tell which of them is of the flats' gain.
+        // Two darks do not show which of them has the flats' gain.
         let darks = campaign.places(|s| s.kind == Kind::Dark);
         let few_darks = darks.len() < MIN_DARKS_FOR_A_GAIN;
-        // The shorter dark has less noise by itself; only the flats tell that it has too little.
+        // The shorter dark has less noise anyway; only the flats can show that it has too little.
         let is_shorter =
             |i: usize| darks.iter().any(|&d| campaign.sets[d].exposure_s > campaign.sets[i].exposure_s);
         let of_flats = Transfer::of(campaign, &zero, &darks);
@@ -222,8 +224,8 @@ impl Check for DependentFrames {
                 own.0 < MAX_AVERAGED_RATIO * (left_dn2 - SIGMAS_OF_FLATS * std_dn2)
             })
         };
-        // Flats of longer exposures have the noise of a dark charge whose level the camera takes off, as a dark
-        // of their exposure has it.
+        // Flats of longer exposures have the noise of a dark charge whose level the camera subtracts,
+        // like a dark of their exposure.
         let lit = campaign.places(|s| s.is_lit());
         let exposure_s = |i: usize| campaign.sets[i].exposure_s;
         let shortest_s = lit.iter().map(|&f| exposure_s(f)).fold(f64::INFINITY, f64::min);
@@ -234,7 +236,7 @@ impl Check for DependentFrames {
                     < (SIGMAS_OF_FLATS * std_dn2).max((1.0 - MAX_AVERAGED_RATIO) * left_dn2)
             })
         };
-        // Charge has a pattern of its own, and averages keep that of single frames.
+        // Charge has its own pattern; averages keep that of single frames.
         let has_more_pattern = |d: usize, i: usize| {
             let square = |i: usize| {
                 let pattern = patterns::pattern_of(&campaign.sets[i]);

@@ -1,41 +1,42 @@
-//! First frames of all flats that deviate by one share of their own light: a lamp that starts dim at each level.
+//! First frames of all flats that deviate by one fraction of their own light: a lamp that starts dim at
+//! each level.
 //!
-//! Stale frames and lag deviate by a share of the change of level instead. Lag after unsaved dark frames deviates by a
-//! share of the light too; its noise tells it (see `against_lag`).
+//! Stale frames and lag deviate by a fraction of the level change instead. Lag after unsaved dark frames
+//! also deviates by a fraction of the light, but its noise distinguishes it (see `against_lag`).
 
 use super::set_view::MIN_SIGMAS_AGAINST_LAG;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::{percent, six_digits};
 use crate::statistics::median::median;
 
-/// Least share of the light, standard deviations of a frame's mean, and largest relative difference of the shares
-/// (named choices: less costs nobody anything).
+/// Minimum deviation relative to the light, minimum significance in standard deviations of a frame's
+/// mean, and maximum relative difference of the fractions (named choices: smaller ones are harmless).
 const MIN_SHARE: f64 = 0.005;
 const MIN_SIGMAS: f64 = 8.0;
 const MAX_REL_OF_SHARES: f64 = 0.15;
-/// Least share of the flats that agree.
+/// Minimum fraction of the flats that agree.
 const MIN_AGREEING: f64 = 0.8;
-/// Largest deviation of the frames behind the first, as a share of that of the first: a lamp that warms up goes
-/// step by step.
+/// Maximum deviation of the later frames, relative to that of the first: a lamp that warms up changes
+/// gradually.
 const MAX_OF_OTHERS: f64 = 0.34;
-/// Least number of flats, and of frames of each.
+/// Minimum number of flats, and of frames of each.
 const MIN_FLATS: usize = 4;
 const MIN_FRAMES: usize = 3;
-/// Share of a change of level from which on a first frame was exposed under the settings before.
+/// Minimum fraction of a level change in a first frame exposed under the previous settings.
 const MIN_SHARE_OF_CHANGE: f64 = 0.25;
 
-/// The check.
+/// Check for dim first frames.
 pub struct DimFirsts;
 
 /// First frame of a flat.
 struct First {
     set: usize,
-    /// Deviation from the frames behind it over their signal, and its standard deviation by noise.
+    /// Deviation from the later frames relative to their signal, and its standard deviation by noise.
     share: f64,
     std: f64,
-    /// Deviation over the change of level from the set before.
+    /// Deviation relative to the level change from the previous set.
     of_change: Option<f64>,
-    /// True if the frames behind it agree with one another.
+    /// True if the later frames agree with one another.
     alone: bool,
 }
 
@@ -96,8 +97,8 @@ impl Check for DimFirsts {
     }
 }
 
-/// Returns true if the first frames are off by one large share of the changes of level as well, as in sweeps whose
-/// levels grow by one factor.
+/// Returns true if the first frames also deviate by one large fraction of the level changes, as in
+/// sweeps whose levels grow by one factor.
 fn are_of_changes(firsts: &[&First]) -> bool {
     let of: Vec<f64> = firsts.iter().filter_map(|f| f.of_change).collect();
     let share = median(of.iter().copied());
@@ -105,11 +106,11 @@ fn are_of_changes(firsts: &[&First]) -> bool {
     2 * agree > of.len() && share > MIN_SHARE_OF_CHANGE
 }
 
-/// Returns true if the noise of all flats together contradicts lag of this share after darkness.
+/// Returns true if the combined noise of all flats contradicts lag of this fraction after darkness.
 fn lack_lag(campaign: &Campaign<'_>, firsts: &[&First], share: f64) -> bool {
     let Some(darkest) = campaign.darkest() else { return false };
     let of = |f: &&First| campaign.sets[f.set].against_lag(share.abs(), darkest);
     let (off, var) = firsts.iter().filter_map(of).fold((0.0, 0.0), |(a, b), (o, std)| (a + o, b + std * std));
-    // More light in the first frame is no lag after darkness.
+    // A brighter first frame is not lag after darkness.
     share > 0.0 || off > MIN_SIGMAS_AGAINST_LAG * var.sqrt() && var > 0.0
 }

@@ -1,5 +1,5 @@
-//! Darks of one setting and one fixed pattern of which some have far less noise: these were averaged. Averaging
-//! leaves the pattern, which another gain would scale.
+//! Darks of one setting and one fixed pattern of which some have far less noise: these were averaged.
+//! Averaging preserves the pattern, which another gain would scale.
 
 use super::dependent_frames::MIN_PATTERN_CORRELATION;
 use super::orientation::{correlation, pattern};
@@ -8,34 +8,34 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 
-/// Largest ratio of the variances at which a dark was averaged: two frames make it a half, and rounding adds a
-/// twelfth of a square of a code to both.
+/// Maximum ratio of the variances of an averaged dark: two frames make it a half, and rounding adds a
+/// twelfth of a squared code to both.
 const MAX_VARIANCE_RATIO: f64 = 0.6;
-/// Standard errors by which it is smaller than 1.
+/// Minimum significance of a ratio below 1, standard errors.
 const MIN_SIGMAS: f64 = 10.0;
-/// Largest factor between the amplitudes of the patterns of darks of one gain (a named choice).
+/// Maximum ratio of the pattern amplitudes of darks of one gain (a named choice).
 const MAX_PATTERN_RATIO: f64 = 1.25;
 
-/// The check.
+/// Check for averaged darks among equal ones.
 pub struct EqualDarks;
 
 impl Check for EqualDarks {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let darks = campaign.places(|s| s.kind == Kind::Dark && !s.clipped && !s.is_cut_off());
         let exposure_s = |i: usize| campaign.sets[i].exposure_s;
-        // Each with a noisier dark of its setting and pattern.
+        // Each with a noisier dark of the same setting and pattern.
         let mut averaged: Vec<(usize, usize)> = Vec::new();
         for &i in &darks {
             let equals = || darks.iter().copied().filter(|&d| exposure_s(d) == exposure_s(i));
             let noisier: Vec<usize> = equals().filter(|&d| is_quieter(campaign, i, d)).collect();
-            // One noisy dark among many is no reason to doubt the many.
+            // A single noisy dark among many does not make the others suspect.
             if 2 * noisier.len() >= equals().count() {
                 let same = noisier.into_iter().find(|&d| are_of_one_gain(campaign, i, d));
                 averaged.extend(same.map(|d| (i, d)));
             }
         }
         let Some(&(first, usual)) = averaged.first() else { return Vec::new() };
-        // Noise does not fall with the exposure: a longer dark with less noise was averaged too.
+        // Noise does not fall with exposure: a longer dark with less noise was averaged too.
         let is_longer = |i: &usize| {
             let is_known = averaged.iter().any(|(own, other)| own == i || other == i);
             let is_beyond = |d: usize| exposure_s(*i) > exposure_s(d) && is_quieter(campaign, *i, d);
@@ -56,7 +56,7 @@ impl Check for EqualDarks {
     }
 }
 
-/// Returns true if a dark has far less noise than another one, whose noise rounding does not decide.
+/// Returns true if a dark has far less noise than another whose noise is not dominated by rounding.
 fn is_quieter(campaign: &Campaign<'_>, own: usize, other: usize) -> bool {
     let of = |i: usize| {
         campaign.sets[i].variance_dn2().map(|(var, pairs)| (var, variance_error(campaign, i, pairs)))
@@ -69,8 +69,8 @@ fn is_quieter(campaign: &Campaign<'_>, own: usize, other: usize) -> bool {
     })
 }
 
-/// Returns true if the fixed patterns of two darks have one amplitude: the regression of one on the other, the
-/// noise of the other taken off (attenuation by errors in variables: Fuller 1987, section 1.1).
+/// Returns true if the fixed patterns of two darks have one amplitude: regression of one on the other,
+/// corrected for the noise of the other (attenuation by errors in variables: Fuller 1987, section 1.1).
 fn are_of_one_gain(campaign: &Campaign<'_>, own: usize, other: usize) -> bool {
     let of = |i: usize| pattern(&campaign.sets[i].facts.middle_dn, campaign.sets[i].facts.middle_columns);
     let (a, b) = (of(own), of(other));

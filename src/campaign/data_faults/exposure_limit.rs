@@ -1,5 +1,5 @@
-//! Exposures beyond a limit of the camera: flats of several stated exposures at one end of a sweep have one
-//! level.
+//! Exposures beyond a limit of the camera: flats of several stated exposures at one end of a sweep have
+//! one level.
 
 use super::campaign::Zero;
 use super::transfer::{Transfer, above};
@@ -8,19 +8,21 @@ use crate::dataset::Kind;
 use crate::number::six_digits;
 use crate::statistics::median::median;
 
-/// Largest relative difference of the levels of one exposure: lamps drift by less within a campaign (a named
-/// choice).
+/// Maximum relative difference of the levels of one exposure: lamps drift by less within a campaign (a
+/// named choice).
 const MAX_REL_OF_ONE_LEVEL: f64 = 0.01;
-/// Least ratio of the longest stated exposure of such flats to the shortest: their levels would tell it.
+/// Minimum ratio of the longest to the shortest stated exposure of such flats, which their levels would
+/// show.
 const MIN_EXPOSURE_RATIO: f64 = 1.1;
-/// Least number of other flats, and the largest relative deviation of their levels from the proportion to the
+/// Minimum number of other flats, and maximum relative deviation of their levels from proportionality to
 /// exposure (named choices).
 const MIN_OTHERS: usize = 3;
 const MAX_REL_OF_OTHERS: f64 = 0.1;
-/// Least ratio of their variance to that of their level: a full well, which also ends levels, takes noise away.
+/// Minimum ratio of their variance to that expected at their level: a full well, which also limits
+/// levels, reduces noise.
 const MIN_VARIANCE_RATIO: f64 = 0.8;
 
-/// The check.
+/// Check for exposures beyond a limit.
 pub struct ExposureLimit;
 
 /// End of a sweep.
@@ -46,7 +48,7 @@ impl Check for ExposureLimit {
             if end == End::Longest {
                 flats.reverse();
             }
-            // Flats of one level from this end on.
+            // Flats of one level, from this end.
             let first = flats.first().map_or(f64::NAN, |&i| level(i));
             let is_one = |i: &&usize| (level(**i) / first - 1.0).abs() < MAX_REL_OF_ONE_LEVEL;
             let group: Vec<usize> = flats.iter().take_while(is_one).copied().collect();
@@ -60,7 +62,7 @@ impl Check for ExposureLimit {
             let are_straight =
                 others.iter().all(|&i| (level(i) / exposure_s(i) / per_s - 1.0).abs() < MAX_REL_OF_OTHERS);
             let limit_s = median(group.iter().map(|&i| level(i))) / per_s;
-            // The flat nearest to the limit may be right.
+            // The flat nearest to the limit may be correct.
             let is_beyond = |i: &usize| match end {
                 End::Shortest => exposure_s(*i) < limit_s / MIN_EXPOSURE_RATIO,
                 End::Longest => exposure_s(*i) > limit_s * MIN_EXPOSURE_RATIO,
@@ -73,7 +75,7 @@ impl Check for ExposureLimit {
             if end == End::Longest && !have_noise_of_level(campaign, &zero, &beyond) {
                 continue;
             }
-            // Darks of such exposures are no longer (or shorter) either, and nothing tells it but the limit.
+            // Darks beyond the limit have wrong exposures too, which only the limit reveals.
             let mut darks = campaign.places(|s| s.kind == Kind::Dark);
             let all = darks.len();
             darks.retain(|i| is_beyond(i));
@@ -105,7 +107,7 @@ impl Check for ExposureLimit {
     }
 }
 
-/// Returns true if the noise of sets is known and that of their level.
+/// Returns true if the noise of the sets is known and fits their level.
 fn have_noise_of_level(campaign: &Campaign<'_>, zero: &Zero, sets: &[usize]) -> bool {
     let Some(transfer) = Transfer::of(campaign, zero, sets) else { return false };
     let off = |i: usize| transfer.off(campaign, i, above(campaign, zero, i));

@@ -1,5 +1,4 @@
-//! Statistics of single frames for the checks: levels, noise of successive frames, digests, the fixed
-//! pattern.
+//! Frame statistics for the checks: levels, noise of successive frames, digests, fixed pattern.
 
 use super::ExamineError;
 use super::hot_charge::{HotCharge, HotPixels};
@@ -15,97 +14,99 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Side of the middle of the frame whose pattern tells what belongs together, pixels: 16384 pixels tell one
-/// that makes up a twentieth of the noise (a named choice).
+/// Side of the central region whose pattern identifies matching frames, pixels: 16384 pixels reveal a
+/// pattern of a twentieth of the noise (a named choice).
 pub const MIDDLE: usize = 128;
 
 /// Statistics of the frames of a set.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SetFacts {
-    /// Pixels of a frame.
+    /// Number of pixels per frame.
     pub pixels: f64,
     /// Mean of each frame, DN.
     pub means_dn: Vec<f64>,
     /// Means of the cells of each frame, DN.
     pub cells_dn: Vec<Vec<f64>>,
-    /// A number of its codes: frames that are the same have the same.
+    /// Digest of the codes: equal frames have equal digests.
     pub digests: Vec<u64>,
-    /// Pixels that differ from the frame before; 0 for the first.
+    /// Number of pixels that differ from the previous frame; 0 for the first.
     pub changed: Vec<u64>,
-    /// Half the variance over the pixels of the difference to the frame before, DN^2, the means of rows and
-    /// columns taken off; 0 for the first.
+    /// Half the variance over the pixels of the difference to the previous frame, DN^2, with row and
+    /// column means removed; 0 for the first.
     pub successive_dn2: Vec<f64>,
-    /// Half that variance for the difference to the frame two before, DN^2; 0 for the first two.
+    /// Half that variance for the difference to the frame before the previous one, DN^2; 0 for the first
+    /// two.
     pub second_dn2: Vec<f64>,
-    /// Half that variance for the difference of the last frame to the third, DN^2; the first two may carry
-    /// the set before. 0 of fewer than six, and in files of earlier versions.
+    /// Half that variance for the difference of the last frame to the third, DN^2; the first two may
+    /// contain carry-over. 0 for fewer than six frames, and in files of earlier versions.
     #[serde(default)]
     pub ends_dn2: f64,
-    /// Sum of the covariances of the noise of a pixel with that of its neighbours, over its variance.
+    /// Sum of the noise covariances of a pixel with its neighbours, relative to its variance.
     #[serde(default)]
     pub neighbours: Neighbours,
-    /// Share of the samples at full scale.
+    /// Fraction of the samples at full scale.
     pub clipped: f64,
-    /// Temporal variance in the cells of [`cells_dn`](Self::cells_dn), DN^2; none of one frame, and in files of
-    /// earlier versions.
+    /// Temporal variance in the cells of [`cells_dn`](Self::cells_dn), DN^2; empty for a single frame,
+    /// and in files of earlier versions.
     #[serde(default)]
     pub cells_dn2: Vec<f64>,
-    /// Share of the samples that are even codes; 0 in files of earlier versions.
+    /// Fraction of even samples; 0 in files of earlier versions.
     #[serde(default)]
     pub even_share: f64,
     /// Variance over the pixels of the first frame, DN^2.
     pub spread_dn2: f64,
-    /// Distance of the codes that occur in the first frame, DN: 1 unless the camera counts in coarser steps.
+    /// Code step of the first frame, DN: 1 unless the camera counts in coarser steps.
     pub step_dn: f64,
-    /// Step of the converter, DN, as all codes of the set show it: 1 where neighbours occur, 0 where too few
+    /// Step of the converter, DN, from all codes of the set: 1 if neighbouring codes occur, 0 if too few
     /// codes do.
     #[serde(default)]
     pub code_step_dn: f64,
-    /// Step of the converter, DN, as the first frame alone shows it; 0 in files of earlier versions.
+    /// Step of the converter, DN, from the first frame alone; 0 in files of earlier versions.
     #[serde(default)]
     pub frame_step_dn: f64,
-    /// Pixels of single samples that stand far off the same pixel in other frames, and are in none of these
-    /// numbers but the digests, the pixels that differ, and the share at full scale.
+    /// Pixels of outlier samples, far from the same pixel in other frames. They are excluded from all
+    /// these statistics but the digests, the changed pixels, and the fraction at full scale.
     #[serde(default)]
     pub struck_pixels: Vec<u32>,
-    /// Pixels that jump from one frame to the next, as those of a time stamp do; none in files of earlier
+    /// Pixels that jump from one frame to the next, as in a time stamp; empty in files of earlier
     /// versions.
     #[serde(default)]
     pub jumping: Vec<u32>,
-    /// Parts of frames that hold the data of a frame before.
+    /// Parts of frames with data of an earlier frame.
     #[serde(default)]
     pub old_data: Vec<OldData>,
-    /// Samples of each frame that are exactly 0; none in files of earlier versions.
+    /// Samples of each frame that are exactly 0; empty in files of earlier versions.
     #[serde(default)]
     pub zeros: Vec<Zeros>,
-    /// Mean over the frames of the middle of the frame, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`]
+    /// Mean over the frames of the central region, DN, row by row: at most [`MIDDLE`] x [`MIDDLE`]
     /// pixels.
     pub middle_dn: Vec<f32>,
-    /// Columns of that.
+    /// Number of columns of the central region.
     pub middle_columns: usize,
-    /// Variance of the noise in that mean, DN^2, without hot pixels, by the frames in turns; 0 of one frame, and
-    /// in files of earlier versions.
+    /// Noise variance of that mean, DN^2, without hot pixels, from frames added with alternating sign; 0
+    /// for a single frame, and in files of earlier versions.
     #[serde(default)]
     pub middle_noise_dn2: f64,
-    /// Gain by the hot pixels of a dark; `None` of flats, where none tell it, and in files of earlier versions.
+    /// Gain from the hot pixels of a dark; `None` for flats, without usable hot pixels, and in files of
+    /// earlier versions.
     #[serde(default)]
     pub hot_charge: Option<HotCharge>,
 }
 
-/// Covariances of neighbours over the variance, the mean of pairs of frames.
+/// Covariances of neighbours relative to the variance, averaged over pairs of frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Neighbours {
-    /// Their sum.
+    /// Sum over all neighbours.
     pub share: f64,
-    /// Sum of those of the four next ones; 0 in files of earlier versions.
+    /// Sum over the four nearest neighbours; 0 in files of earlier versions.
     #[serde(default)]
     pub of_next: f64,
-    /// Pixels of all pairs; 0 of one frame or small ones, and in files of earlier versions.
+    /// Number of pixels of all pairs; 0 for a single or small frame, and in files of earlier versions.
     pub pixels: f64,
 }
 
 impl Neighbours {
-    /// Takes in the next pair, until the pixels are enough.
+    /// Adds the next pair, until the pixels suffice.
     fn add(&mut self, a: &Array2<u16>, b: &Array2<u16>) {
         let own = a.len().min(ENOUGH) as f64;
         if self.pixels + 0.5 * own > ENOUGH as f64 {
@@ -120,14 +121,14 @@ impl Neighbours {
 }
 
 impl SetFacts {
-    /// Returns true if these can be statistics of so many frames of (rows, columns).
+    /// Returns true if the statistics are consistent with this number of frames of (rows, columns).
     pub fn fits(&self, frames: usize, shape: (usize, usize)) -> bool {
         let n = self.means_dn.len();
         let counts =
             [self.digests.len(), self.changed.len(), self.successive_dn2.len(), self.second_dn2.len()];
         let cells = self.cells_dn.first().map_or(0, Vec::len);
         let (rows, columns) = (middle_side(shape.0).1, middle_side(shape.1).1);
-        // Files of earlier versions have a smaller one.
+        // Files of earlier versions have a smaller central region.
         let middle = self.middle_columns <= columns
             && self.middle_dn.len() <= rows * columns
             && self.middle_dn.len().is_multiple_of(self.middle_columns.max(1));
@@ -139,12 +140,12 @@ impl SetFacts {
     }
 }
 
-/// Middles of frames.
+/// Accumulated central regions.
 #[derive(Default)]
 struct Middle {
     frames: usize,
     sum: Array2<f32>,
-    /// Their sum with plus and minus in turns.
+    /// Sum with alternating sign.
     in_turns: Array2<f32>,
 }
 
@@ -162,13 +163,14 @@ impl Middle {
     }
 }
 
-/// First pixel and size of the middle of a side of n pixels; symmetrical about its middle.
+/// Returns first pixel and size of the central region for a side of n pixels; symmetrical about the
+/// centre.
 fn middle_side(n: usize) -> (usize, usize) {
     let size = n.min(MIDDLE) - (n.min(MIDDLE) + n) % 2;
     ((n - size) / 2, size)
 }
 
-/// Reads the frames of a set, one after the other.
+/// Computes the statistics of a set, reading its frames in sequence.
 pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<SetFacts, ExamineError> {
     let full = dataset.manifest().camera.full_scale_dn();
     let mut out = SetFacts::default();
@@ -213,7 +215,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             }
             old_data.add(sent, sent_before.as_ref().and_then(|b| b.as_slice()), full);
             sent_before = Some(shared);
-            // The first frame may carry the set before.
+            // The first frame may contain carry-over from the previous set.
             let pairs = out.digests.len() % 2 == 0 && (out.digests.len() > 2 || set.rows.len() < 4);
             if let Some(before) = before.as_ref().filter(|_| pairs) {
                 out.neighbours.add(before, &frame);
@@ -260,7 +262,7 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     Ok(out)
 }
 
-/// Variances in the cells of frames, by pairs of them.
+/// Variances in the cells of frames, from pairs of frames.
 #[derive(Default)]
 struct CellVariances {
     pairs: usize,
@@ -268,7 +270,7 @@ struct CellVariances {
 }
 
 impl CellVariances {
-    /// Takes in the next pair, until the pixels are enough.
+    /// Adds the next pair, until the pixels suffice.
     fn add(&mut self, a: &Array2<u16>, b: &Array2<u16>) {
         if self.pairs * a.len() >= ENOUGH {
             return;
@@ -284,17 +286,17 @@ impl CellVariances {
     }
 }
 
-/// Step of the codes that occur: 1 where neighbours do, 0 where too few codes do.
+/// Returns the code step: 1 if neighbouring codes occur, 0 if too few codes do.
 fn step_of(occurring: &Occurring) -> f64 {
     let stretch = occurring.stretch().map(|s| s.step);
     stretch.unwrap_or(if occurring.has_neighbours() { 1.0 } else { 0.0 })
 }
 
-/// A frame that others hold too.
+/// Shared frame.
 type Shared = Arc<Array2<u16>>;
 
-/// Frames of a set, block by block: each as sent and without single samples that stand far off, and the
-/// number of these samples.
+/// Reads the frames of a set in blocks: each frame as recorded and without outlier samples, and the
+/// number of these.
 fn in_blocks<'d>(
     dataset: &'d Dataset,
     set: &'d Set,
@@ -313,23 +315,24 @@ fn in_blocks<'d>(
     })
 }
 
-/// Step of the converter that the sets agree on, DN; 1 where one counts in steps of 1 or none tells.
+/// Returns the converter step on which the sets agree, DN; 1 if a set counts in steps of 1 or none
+/// determines it.
 pub(super) fn code_step(facts: &[SetFacts]) -> f64 {
-    /// Part of the step by which sets may differ in it: they show it over different ranges.
+    /// Maximum relative difference of the step between sets, which cover different ranges.
     const SAME_STEP: f64 = 0.02;
     let told = facts.iter().map(|f| f.code_step_dn).filter(|step| *step > 0.0);
     let (least, most) = told.fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(v), b.max(v)));
     if most > 0.0 && most - least <= SAME_STEP * least { most } else { 1.0 }
 }
 
-/// The middle of a frame; mirrored frames have it mirrored.
+/// Returns the central region of a frame; that of a mirrored frame is mirrored.
 fn middle_of(frame: &Array2<u16>) -> Array2<f32> {
     let (rows, columns) = frame.dim();
     let ((top, height), (left, width)) = (middle_side(rows), middle_side(columns));
     frame.slice(s![top..top + height, left..left + width]).mapv(f32::from)
 }
 
-/// Variance over the pixels.
+/// Returns the variance over the pixels.
 fn spread(codes: &[u16]) -> f64 {
     let (mut sum, mut square) = (0u64, 0u64);
     for &code in codes {
@@ -340,7 +343,7 @@ fn spread(codes: &[u16]) -> f64 {
     (square as f64 / n - (sum as f64 / n).powi(2)).max(0.0)
 }
 
-/// Range of the middle eight tenths of the samples over the codes that occur in it.
+/// Returns the range of the middle 80 % of the samples divided by the number of codes that occur in it.
 fn step(codes: &[u16], full: u16) -> f64 {
     let mut counts = vec![0usize; usize::from(full) + 1];
     codes.iter().for_each(|c| counts[usize::from(*c).min(usize::from(full))] += 1);
@@ -361,11 +364,11 @@ fn step(codes: &[u16], full: u16) -> f64 {
     }
 }
 
-/// Smallest number of rows, and of columns, whose means are taken off a difference (a named choice).
+/// Minimum number of rows, and of columns, whose means are removed from a difference (a named choice).
 const FEW: f64 = 8.0;
 
-/// Pixels that differ, and half the variance of the difference, DN^2, by what pixels have of their own: the
-/// means of rows and columns are taken off, which light bands and the noise of lines move.
+/// Returns the number of differing pixels, and half the variance of the difference, DN^2, with row and
+/// column means removed: light bands and line noise affect those.
 fn difference(a: &[u16], b: &[u16], columns: usize) -> (u64, f64) {
     let columns = columns.max(1);
     let (mut changed, mut total, mut square, mut of_rows) = (0u64, 0i64, 0u64, 0.0);
@@ -385,7 +388,7 @@ fn difference(a: &[u16], b: &[u16], columns: usize) -> (u64, f64) {
     let (n, rows) = ((a.len() as f64).max(1.0), a.len() as f64 / columns as f64);
     let of_columns = of_columns.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
     let of_frame = (total as f64).powi(2) / n;
-    // Lines of few pixels leave little beside their means.
+    // In a few lines of few pixels little remains besides the means.
     let (shared, dof) = if rows >= FEW && columns as f64 >= FEW {
         (of_rows / columns as f64 + of_columns / rows - of_frame, (rows - 1.0) * (columns as f64 - 1.0))
     } else {
@@ -394,26 +397,27 @@ fn difference(a: &[u16], b: &[u16], columns: usize) -> (u64, f64) {
     (changed, 0.5 * (square as f64 - shared).max(0.0) / dof)
 }
 
-/// Distance up to which pixels are neighbours, along both axes: a kernel of five by five.
+/// Maximum distance of neighbours, along both axes, pixels: a kernel of five by five.
 const NEAR: isize = 2;
-/// Distances at which a difference has nothing of filters and crosstalk left; what it still has is the noise
-/// of rows and columns, and fields that move as a whole (a named choice).
+/// Distances beyond filters and crosstalk; the remaining covariance is that of row and column noise, and
+/// of fields that move as a whole (a named choice).
 const FAR: std::ops::RangeInclusive<isize> = 6..=13;
-/// Side of the middle of a frame that tells it, and pixels that are enough: 2 % of the variance in a set.
+/// Side of the central region used for neighbours, and number of pixels that suffices: 2 % of the
+/// variance in a set.
 const SIDE: usize = 512;
 pub(super) const ENOUGH: usize = SIDE * SIDE;
-/// Variance of that sum for white noise, times the pixels: a correlation has 1 / n (Box and Jenkins 1976,
-/// 2.1.6), and twice are summed two along each axis, less twice the mean of eight, and eight others, less
-/// eight times the mean of 16.
+/// Variance of that sum for white noise, times the number of pixels: a correlation has 1 / n (Box and
+/// Jenkins 1976, 2.1.6), and counted twice are two along each axis, less twice the mean of eight, and
+/// eight others, less eight times the mean of 16.
 pub(super) const NEIGHBOURS_VAR: f64 = 4.0 * (2.0 * (2.0 + 4.0 / 8.0) + 8.0 + 64.0 / 16.0);
 
-/// Variance of the sum over the next pixels alone, times the pixels: twice are summed one along each axis, less
-/// the mean of eight.
+/// Variance of the sum over the nearest neighbours, times the number of pixels: counted twice is one
+/// along each axis, less the mean of eight.
 pub(super) const NEXT_VAR: f64 = 4.0 * 2.0 * (1.0 + 1.0 / 8.0);
 
-/// Sum of the covariances of the difference of two frames with itself up to [`NEAR`] pixels away, over its
-/// variance, and of those one pixel along a row or a column away. Of each direction what pixels [`FAR`] away
-/// share is taken off.
+/// Returns the sum of the covariances of a frame difference with itself up to [`NEAR`] pixels away,
+/// relative to its variance, and that of one pixel along a row or a column. For each direction the
+/// covariance [`FAR`] away is subtracted.
 fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<(f64, f64)> {
     let (rows, columns) = a.dim();
     let (height, width) = (rows.min(SIDE), columns.min(SIDE));
@@ -430,7 +434,7 @@ fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<(f64, f64)> 
     off -= off.mean()?;
     without_field(&mut off, a.slice(part), b.slice(part));
     let rows_of: Vec<&[f32]> = off.as_slice()?.chunks_exact(width).collect();
-    // Mean product of pixels so far apart.
+    // Mean product of pixels at this displacement.
     let product = |down: isize, across: isize| {
         let (down, far) = (down.unsigned_abs(), across.unsigned_abs());
         let right = |row: &[f32]| -> std::ops::Range<usize> { far..row.len() };
@@ -442,7 +446,7 @@ fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<(f64, f64)> 
     let mean = |of: &dyn Fn(isize) -> f64| FAR.map(of).sum::<f64>() / FAR.count() as f64;
     let (in_row, in_column) = (mean(&|k| product(0, k)), mean(&|k| product(k, 0)));
     let aslant = mean(&|k| 0.5 * (product(k, k) + product(k, -k)));
-    // Half of them: those on the other side are the same.
+    // Half of the neighbours: the opposite half is equal.
     let half = (0..=NEAR).flat_map(|down| (-NEAR..=NEAR).map(move |across| (down, across)));
     let half = half.filter(|(down, across)| *down > 0 || *across > 0);
     let near = half.map(|(down, across)| {
@@ -459,8 +463,8 @@ fn shared_by_neighbours(a: &Array2<u16>, b: &Array2<u16>) -> Option<(f64, f64)> 
     (own > 0.0).then(|| (2.0 * near / own, 2.0 * next / own))
 }
 
-/// Takes the field off the difference of two frames by its regression on their sum: a lamp that flickers leaves
-/// the shape of its field in the difference.
+/// Removes the light field from the difference of two frames by regression on their sum: a flickering
+/// lamp leaves the shape of its field in the difference.
 fn without_field(off: &mut Array2<f32>, a: ArrayView2<'_, u16>, b: ArrayView2<'_, u16>) {
     let sum = ndarray::Zip::from(a).and(b).map_collect(|&a, &b| f32::from(a) + f32::from(b));
     let Some(mean) = sum.mean() else { return };
@@ -475,7 +479,8 @@ fn without_field(off: &mut Array2<f32>, a: ArrayView2<'_, u16>, b: ArrayView2<'_
     }
 }
 
-/// Sum of the products of two rows, of which the longer is cut off. In lanes that a processor adds at once.
+/// Returns the sum of products of two rows, the longer one truncated. Separate lanes allow
+/// vectorisation.
 fn dot(one: &[f32], other: &[f32]) -> f64 {
     const LANES: usize = 16;
     let n = one.len().min(other.len());
@@ -490,8 +495,8 @@ fn dot(one: &[f32], other: &[f32]) -> f64 {
     f64::from(rest) + lanes.iter().copied().map(f64::from).sum::<f64>()
 }
 
-/// FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: frames that differ have the same by a chance
-/// of 2^-64.
+/// Computes FNV-1a over the codes (Fowler, Noll and Vo), in four lanes: different frames have equal
+/// digests with a probability of 2^-64.
 pub(super) fn digest(codes: &[u16]) -> u64 {
     const PRIME: u64 = 0x0000_0100_0000_01b3;
     let mut lanes = [0xcbf2_9ce4_8422_2325u64, 1, 2, 3];
@@ -511,11 +516,11 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// White noise shares nothing within four errors over 300 pairs, and the square is what is stated within
-    /// four errors, also of the next pixels alone. Kernels whose sum is 1 have the variance that their squares
-    /// sum to, and share the rest:
-    /// the mean of two by two 3, that of three by three 8, a sharpening by 0.2 of four neighbours -0.706, all
-    /// within four errors of their pairs.
+    /// White noise has no neighbour covariance within four errors over 300 pairs, and the mean square
+    /// agrees with the stated one within four errors, also for the nearest neighbours alone. Kernels
+    /// with a sum of 1 reduce the variance to the sum of their squares, and share the rest: the mean of
+    /// two by two 3, that of three by three 8, a sharpening by 0.2 of four neighbours -0.706, all within
+    /// four errors of their pairs.
     #[test]
     fn neighbours_share_what_a_kernel_makes() {
         let (rows, columns) = (60, 80);
@@ -553,8 +558,8 @@ mod tests {
         }
     }
 
-    /// A lamp that flickers by 3 % in a field that falls to a half in the corners leaves nothing: the mean of 300
-    /// pairs is 0 and their square is what is stated, both within four errors.
+    /// A lamp that flickers by 3 %, in a field that falls to a half in the corners, leaves nothing: the
+    /// mean of 300 pairs is 0 and the mean square agrees with the stated one, both within four errors.
     #[test]
     fn flicker_in_a_shaded_field_is_not_shared() {
         let (rows, columns) = (60, 80);
@@ -591,8 +596,8 @@ mod tests {
         assert_ne!(digest(&frame), digest(&exchanged));
     }
 
-    /// Beside light bands and noise of columns the variance of the pixels stays, 4 DN squared and rounding,
-    /// within five standard errors.
+    /// Light bands and column noise do not change the measured pixel variance, 4 DN squared and
+    /// rounding, within five standard errors.
     #[test]
     fn what_lines_share_is_no_difference() {
         use radcam_sim::rng::{PixelRng, Stream};

@@ -1,5 +1,6 @@
-//! Flats that were saved with fewer bits than the others: their codes, black level included, are a half of a half
-//! and so on of what exposure and light make them, or lie further apart at levels where others have all codes.
+//! Flats saved with fewer bits than the others: their codes, black level included, are 1/2, 1/4 and so
+//! on of those expected for exposure and light, or are spaced more widely at levels where others have
+//! all codes.
 
 use super::campaign::Zero;
 use super::set_view::SetView;
@@ -10,23 +11,23 @@ use crate::number::six_digits;
 use crate::statistics::median::median;
 use crate::statistics::quantisation::QUANTISATION_DN2;
 
-/// Numbers of bits that may be missing. One is what a digital gain takes too.
+/// Range of missing bits. A single bit could also be a digital gain.
 const BITS: std::ops::RangeInclusive<u32> = 2..=8;
-/// Relative deviation from the others' response up to which a flat has it: lamps drift, shutters have a delay (a
-/// named choice).
+/// Maximum relative deviation of a flat from the response of the others: lamps drift, shutters have a
+/// delay (a named choice).
 const MAX_DEVIATION: f64 = 0.05;
-/// Share of full scale from which on pixels saturate (a named choice).
+/// Minimum fraction of full scale at which pixels may saturate (a named choice).
 const MIN_FULL: f64 = 0.9;
-/// Least number of flats with all bits.
+/// Minimum number of flats with all bits.
 const MIN_WHOLE: usize = 2;
-/// Share of the deviation of its noise from that of a wrong label which a set of fewer bits may have (a named
-/// choice).
+/// Maximum deviation of the noise of a set with fewer bits, relative to the deviation from that of a
+/// wrong label (a named choice).
 const MAX_NOISE_SHARE: f64 = 0.5;
-/// Least share of the pixels at levels where others have all codes: so many do not pass for pixels that a camera
-/// filled in, which the distance of the codes does not count.
+/// Minimum fraction of pixels at levels where others have all codes: more than pixels interpolated by a
+/// camera, which the code step does not count.
 const MIN_LOW_PIXELS: f64 = 0.003;
 
-/// The check.
+/// Check for flats with fewer bits.
 pub struct FewerBits;
 
 impl Check for FewerBits {
@@ -58,7 +59,7 @@ impl Check for FewerBits {
     }
 }
 
-/// Level above the darks over the light.
+/// Returns the level above the darks per light.
 fn response(set: &SetView, level_dn: f64, zero: &Zero) -> f64 {
     (level_dn - zero.at(set.exposure_s)) / set.light()
 }
@@ -67,13 +68,13 @@ fn is_near(a: f64, b: f64) -> bool {
     (a / b - 1.0).abs() < MAX_DEVIATION
 }
 
-/// Finds the flats whose codes are 2^-n of what the others' response makes them, and n.
+/// Finds flats whose codes are 2^-n of those expected from the response of the others, and n.
 fn shifted_down(campaign: &Campaign<'_>) -> Option<(Vec<usize>, u32)> {
     let zero = campaign.zero().filter(|_| campaign.is_of_one_part())?;
     let flats = campaign.places(|s| s.is_lit() && !s.clipped && !s.is_cut_off());
     let levels: Vec<f64> = campaign.sets.iter().map(SetView::level_dn).collect();
     let response = |i: usize, factor: f64| response(&campaign.sets[i], factor * levels[i], &zero);
-    // Every flat has all its bits or lacks this number, at the response of one of them.
+    // Every flat has all its bits or lacks this number, relative to the response of one of them.
     let split = |bits: u32, usual: f64| {
         let (whole, rest): (Vec<usize>, Vec<usize>) =
             flats.iter().partition(|i| is_near(response(**i, 1.0), usual));
@@ -90,7 +91,7 @@ fn shifted_down(campaign: &Campaign<'_>) -> Option<(Vec<usize>, u32)> {
     let ways =
         BITS.flat_map(|bits| flats.iter().map(usual).filter_map(move |r| split(bits, r)).collect::<Vec<_>>());
     let (sets, bits) = ways.min_by_key(|(rest, _)| rest.len())?;
-    // A wrong label leaves the noise of the level.
+    // A wrong label keeps the noise of the level.
     let transfer = Transfer::of(campaign, &zero, &sets)?;
     let factor = f64::from(1u32 << bits);
     let is_rounded = |&i: &usize| {
@@ -98,7 +99,7 @@ fn shifted_down(campaign: &Campaign<'_>) -> Option<(Vec<usize>, u32)> {
         let expected = |above_dn: f64| transfer.expected_dn2(above_dn.max(0.0)).0;
         let of_label = expected(above(campaign, &zero, i)).max(QUANTISATION_DN2);
         let of_fewer = expected(whole_dn) / factor.powi(2) + QUANTISATION_DN2;
-        // Rounding may leave no noise at all.
+        // Rounding may remove all noise.
         let own = campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0.max(QUANTISATION_DN2));
         (own / of_fewer).ln().abs() < MAX_NOISE_SHARE * (own / of_label).ln().abs()
     };
@@ -108,9 +109,9 @@ fn shifted_down(campaign: &Campaign<'_>) -> Option<(Vec<usize>, u32)> {
     (of_noise.peek().is_some() && of_noise.all(is_rounded)).then_some((sets, bits))
 }
 
-/// Finds the flats whose codes lie 4 DN or more apart where other sets have all codes, and that distance. A
-/// converter whose steps grow with the level does so at every level that a pixel has: of a bright flat at those
-/// of its blind, dusty and shaded ones too.
+/// Finds flats whose codes are 4 DN or more apart where other sets have all codes, and that distance. A
+/// converter with level-dependent steps has them at every level of a pixel, so also in the blind, dusty
+/// and shaded pixels of a bright flat.
 fn further_apart(campaign: &Campaign<'_>) -> Option<(Vec<usize>, f64)> {
     let step = |i: usize| campaign.sets[i].facts.code_step_dn;
     let sets = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat) && !s.clipped);
@@ -126,7 +127,7 @@ fn further_apart(campaign: &Campaign<'_>) -> Option<(Vec<usize>, f64)> {
         let low = pixels.iter().filter(|dn| (lowest..highest).contains(&f64::from(**dn))).count();
         low as f64 > MIN_LOW_PIXELS * pixels.len() as f64
     };
-    // A gain of 4 puts codes 4 DN apart too, and moves the level.
+    // A gain of 4 also gives codes 4 DN apart, but shifts the level.
     let zero = campaign.zero()?;
     let own = |i: &usize| response(&campaign.sets[*i], campaign.sets[*i].level_dn(), &zero);
     let usual = median(fine.iter().filter(|i| campaign.sets[**i].is_lit()).map(own));

@@ -1,29 +1,31 @@
-//! Frames of one set with two levels: the light or the exposure was changed in the middle, or a strobe missed
-//! some of them. Those of the level of the setting stay.
+//! Sets whose frames have two levels: light or exposure was changed during the set, or a strobe missed
+//! some frames. Frames at the level of the setting stay.
 
 use super::campaign::Zero;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::{percent, six_digits};
 use crate::statistics::median::median;
 
-/// Least distance of the levels: over the signal, in standard deviations of a frame's mean, and in DN.
+/// Minimum distance of the levels: relative to the signal, in standard deviations of a frame's mean, and
+/// in DN.
 const MIN_DISTANCE: (f64, f64, f64) = (0.01, 20.0, 3.0);
-/// Largest range of the frames of one level over the distance: flicker and settling have no levels.
+/// Maximum range of the frames of one level, relative to the distance: flicker and settling have no
+/// distinct levels.
 const MAX_RANGE: f64 = 0.1;
-/// Ratio of the distances from the level of the setting up to which the nearer level is that of the setting.
+/// Maximum ratio of the distances from the level of the setting at which the nearer level is accepted.
 const NEARER: f64 = 0.3;
-/// Share of the sets up to which these are slips: more are what the lamp or the camera does.
+/// Maximum fraction of the sets that are isolated faults: more are a property of the lamp or the camera.
 const MAX_SHARE_OF_SETS: f64 = 0.25;
-/// Share of the signal of the setting up to which frames had no light.
+/// Maximum fraction of the signal of the setting in frames without light.
 const UNLIT: f64 = 0.01;
 
-/// The check.
+/// Check for frames of two levels.
 pub struct FramesOfTwoLevels;
 
-/// Frames of one set, parted by their level.
+/// Frames of one set, separated by level.
 struct Parted {
     set: usize,
-    /// Places of the frames and their level, DN: of the lower level and of the higher one.
+    /// Indices of the frames and their level, DN: of the lower level and of the higher one.
     parts: [(Vec<usize>, f64); 2],
 }
 
@@ -56,8 +58,8 @@ impl Check for FramesOfTwoLevels {
     }
 }
 
-/// Signal at a light, DN, between those of the flats (light, signal in DN) next to it on both sides, in
-/// proportion to a power of the light; beyond them in proportion to the light. `None` without flats.
+/// Returns the signal at a light, DN, interpolated between the neighbouring flats (light, signal in DN)
+/// by a power law of the light; beyond them in proportion to the light. `None` without flats.
 fn signal_at(light: f64, flats: &[(f64, f64)]) -> Option<f64> {
     let by_light = |a: &&(f64, f64), b: &&(f64, f64)| a.0.total_cmp(&b.0);
     let below = flats.iter().filter(|f| f.0 <= light && f.1 > 0.0).max_by(by_light);
@@ -73,7 +75,8 @@ fn signal_at(light: f64, flats: &[(f64, f64)]) -> Option<f64> {
     }
 }
 
-/// Fault of frames of two levels; `None` where no other flat tells which level is that of the setting.
+/// Creates the fault of frames of two levels; `None` if no other flat determines the level of the
+/// setting.
 fn fault(
     campaign: &mut Campaign<'_>,
     zero: &Zero,
@@ -118,8 +121,8 @@ fn fault(
     Some(campaign.fault_of_sets(FaultKind::OddFrame, &[set], text, true))
 }
 
-/// Places and levels of the frames on both sides of the widest gap between their means; `None` where they
-/// have one level, or one of them alone stands out.
+/// Returns indices and levels of the frames on both sides of the widest gap between their means; `None`
+/// for a single level, or if only one frame stands out.
 fn parts_of(means_dn: &[f64], kept: &[bool], least_dn: f64) -> Option<[(Vec<usize>, f64); 2]> {
     let places = kept.iter().enumerate().filter(|(_, kept)| **kept).map(|(place, _)| place);
     let mut all: Vec<(f64, usize)> = means_dn.iter().copied().zip(places).collect();
@@ -143,7 +146,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// The signal of a gamma of 0.6 is that of the law between its neighbours, and beyond them of the proportion.
+    /// For a gamma of 0.6 the signal follows the power law between neighbours, and proportionality
+    /// beyond them.
     #[test]
     fn levels_lie_between_their_neighbours() {
         let of = |light: f64| 1000.0 * light.powf(0.6);
@@ -154,7 +158,8 @@ mod tests {
         assert_eq!(signal_at(0.4, &[]), None);
     }
 
-    /// Two levels are parted, in blocks or in turns; one frame off, steps that grow, and noise are not.
+    /// Two levels are separated, in blocks or alternating; a single odd frame, growing steps, and noise
+    /// are not.
     #[test]
     fn two_levels_are_parted() {
         let parts = |means: &[f64]| parts_of(means, &vec![true; means.len()], 10.0).map(|p| p.map(|p| p.0));

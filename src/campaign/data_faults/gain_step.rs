@@ -1,7 +1,7 @@
-//! Another gain in a part of the flats: in those that were taken later, in the brighter ones, or here and there.
-//! The level jumps by a factor, and the slope of the variance over the level by the same one (Healey and
-//! Kondepudy 1994, eq. 35: sigma_N^2 = A^2 (I + E_DC) + sigma_C^2). A bend does not jump, a lamp does not touch
-//! the slope.
+//! Another gain in a part of the flats: the later ones, the brighter ones, or scattered ones. The level
+//! jumps by a factor, and the slope of the variance over the level by the same factor (Healey and
+//! Kondepudy 1994, eq. 35: sigma_N^2 = A^2 (I + E_DC) + sigma_C^2). A bend does not jump, and a lamp
+//! does not change the slope.
 
 use super::transfer::MODEL_ERROR;
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -10,37 +10,37 @@ use crate::fit::line::{Line, fit};
 use crate::number::with_error;
 use crate::statistics::median::median;
 
-/// Least number of flats in all, and in each part.
+/// Minimum number of flats in all, and in each part.
 const MIN_FLATS: usize = 5;
 const MIN_OF_PART: usize = 2;
-/// Usual relative scatter of a set's level: what lamps that nobody touches have (a named choice).
+/// Usual relative scatter of a set's level for undisturbed lamps (a named choice).
 const LEVEL_SCATTER: f64 = 0.003;
 /// Usual relative scatter of a set's level between positions of card and light (a named choice).
 const SCATTER_OF_POSITIONS: f64 = 0.03;
-/// Least change of the gain that is said.
+/// Minimum change of the gain that is reported.
 const MIN_GAIN_RATIO: f64 = 1.08;
-/// Square of standard deviations that two gains must explain beyond one.
+/// Minimum decrease of chi^2 by two gains instead of one.
 const MIN_CHI2_GAIN: f64 = 60.0;
-/// Mean square of the standard deviations that may be left.
+/// Maximum remaining mean chi^2.
 const MAX_CHI2_OF_ONE: f64 = 5.0;
-/// Standard deviations within which level and noise must say the same gain, and the largest relative
-/// difference.
+/// Maximum difference of the gains from level and from noise, standard deviations, and relative.
 const MAX_SIGMAS: f64 = 4.0;
 const MAX_DIFFERENCE: f64 = 0.15;
-/// Least ratio of the lights of a part from which on its levels have a line of their own, and of its signals for the
+/// Minimum ratio of the lights of a part whose levels get their own line, and of its signals for the
 /// variances.
 const MIN_RANGE: (f64, f64) = (1.2, 1.5);
-/// Largest standard errors of the gain's logarithm by level and by noise, of the logarithm itself, and the
-/// least jump of the level where the parts meet, of the same (named choices, as are the bounds above).
+/// Maximum standard errors of the logarithm of the gain, by level and by noise, relative to that
+/// logarithm, and minimum jump of the level between the parts, relative to the same (named choices, as
+/// are the bounds above).
 const MAX_REL_STD: (f64, f64) = (0.1, 0.2);
 const MIN_JUMP: f64 = 0.5;
-/// Level above the darks, in standard deviations of their noise, from which on a flat counts.
+/// Minimum level of a flat above the darks, in standard deviations of their noise.
 const MIN_LEVEL: f64 = 1.0;
 
-/// The check.
+/// Check for a gain step.
 pub struct GainStep;
 
-/// A flat: light, level above the darks, temporal variance, with their standard errors.
+/// Flat: light, level above the darks, temporal variance, with standard errors.
 #[derive(Clone, Copy)]
 struct Point {
     set: usize,
@@ -51,8 +51,8 @@ struct Point {
     variance_std: f64,
 }
 
-/// A line through points (x, y, variance of y) by weighted least squares; through `fixed` at x = 0 where that
-/// is given.
+/// Fits a line through points (x, y, variance of y) by weighted least squares; through `fixed` at x = 0
+/// if given.
 fn line(points: &[(f64, f64, f64)], fixed: Option<f64>) -> Option<Line> {
     let Some(intercept) = fixed else { return fit(points.iter().copied()) };
     let sum = |f: &dyn Fn(f64, f64) -> f64| points.iter().map(|&(x, y, v)| f(x, y) / v).sum::<f64>();
@@ -70,15 +70,15 @@ fn line(points: &[(f64, f64, f64)], fixed: Option<f64>) -> Option<Line> {
     })
 }
 
-/// Level over light, and variance over level, of a part of the flats.
+/// Level over light, and variance over level, for a part of the flats.
 struct Part {
     response: Line,
     noise: Line,
 }
 
 impl Part {
-    /// `from_zero`: the levels lie on a line through that without light, and the variances on one through that of
-    /// darks.
+    /// Fits a part. `from_zero`: the line of the levels passes through zero at zero light, that of the
+    /// variances through the dark variance.
     fn of(points: &[Point], dark_dn2: f64, from_zero: bool) -> Option<Self> {
         let has_range = |of: &dyn Fn(&Point) -> f64, ratio: f64| {
             let (least, most) =
@@ -88,7 +88,7 @@ impl Part {
         let levels: Vec<(f64, f64, f64)> =
             points.iter().map(|p| (p.light, p.level_dn, p.level_std.powi(2))).collect();
         let response = line(&levels, (from_zero || !has_range(&|p| p.light, MIN_RANGE.0)).then_some(0.0))?;
-        // Signal: the level above that without light, which a gain on the codes moves too.
+        // Signal: level above that at zero light, which a gain on the codes also moves.
         let signal = |p: &Point| p.level_dn - response.intercept;
         let noises: Vec<(f64, f64, f64)> =
             points.iter().map(|p| (signal(p), p.variance_dn2, p.variance_std.powi(2))).collect();
@@ -106,12 +106,12 @@ impl Part {
 struct Step {
     parts: [Vec<Point>; 2],
     chi2: f64,
-    /// Gain of the second over that of the first, and its standard error.
+    /// Ratio of the second gain to the first, and its standard error.
     ratio: (f64, f64),
 }
 
 impl Step {
-    /// A cut of the flats in two; `None` where level and noise do not say one gain.
+    /// Splits the flats in two; `None` if level and noise do not agree on one gain.
     fn of(first: &[Point], second: &[Point], dark_dn2: f64, from_zero: bool) -> Option<Self> {
         let ratio = |a: &Line, b: &Line| {
             let rel = |line: &Line| line.var_slope.sqrt() / line.slope;
@@ -122,7 +122,8 @@ impl Step {
         };
         let plain = parts(dark_dn2, dark_dn2)?;
         let level = ratio(&plain.0.response, &plain.1.response);
-        // The darks have the gain of either part; the constant noise of the other changes with its square.
+        // The darks have the gain of one of the parts; the constant noise of the other scales with its
+        // square.
         let square = (2.0 * level.0).exp();
         let ways = [Some(plain), parts(dark_dn2 / square, dark_dn2), parts(dark_dn2, dark_dn2 * square)];
         let noise_of = |(one, two): &(Part, Part)| ratio(&one.noise, &two.noise);
@@ -133,7 +134,7 @@ impl Step {
         let difference = (level.0 - noise.0).abs();
         let agree =
             difference < MAX_SIGMAS * std && difference < (MAX_DIFFERENCE * level.0).abs().max(2.0 * std);
-        // The level must jump where the parts meet.
+        // The level must jump between the parts.
         let extreme =
             |of: &[Point], f: fn(f64, f64) -> f64, from: f64| of.iter().map(|p| p.light).fold(from, f);
         let (low, high) = (extreme(second, f64::min, f64::INFINITY), extreme(first, f64::max, 0.0));
@@ -141,8 +142,8 @@ impl Step {
         let jump = (two.response.at(meet) / one.response.at(meet)).ln();
         let known = noise.1 < MAX_REL_STD.1 * level.0.abs() && level.1 < MAX_REL_STD.0 * level.0.abs();
         let jumps = jump / level.0 > MIN_JUMP && level.0.abs() > MIN_GAIN_RATIO.ln();
-        // A gain on the codes with the black level in them moves the level by more than its factor: level and
-        // noise then differ by what the ratio is not known.
+        // A gain on codes that include the black level moves the level by more than its factor: the
+        // difference between level and noise is then the uncertainty of the ratio.
         let ratio = level.0.exp();
         (agree && known && jumps).then(|| Self {
             parts: [first.to_vec(), second.to_vec()],
@@ -165,7 +166,7 @@ impl Check for GainStep {
             let set = &campaign.sets[i];
             let (variance_dn2, pairs) = set.variance_dn2()?;
             let level_dn = set.level_dn() - zero.at(set.exposure_s);
-            // Relative variance of the variance of n pairs that overlap: 3 / n for normal noise.
+            // Relative variance of the variance from n overlapping pairs: 3 / n for normal noise.
             let rel = MODEL_ERROR.hypot((3.0 / (set.facts.pixels * pairs)).sqrt());
             (level_dn > MIN_LEVEL * dark_dn2.sqrt()).then_some(Point {
                 set: i,
@@ -185,7 +186,7 @@ impl Check for GainStep {
         by_light.sort_by(|a, b| a.light.total_cmp(&b.light));
         // Noise that falls with the level has no line.
         let whole_chi2 = Part::of(&in_time, dark_dn2, false).map_or(f64::INFINITY, |whole| whole.chi2());
-        // Gains that come and go: those whose level is high for their light.
+        // Intermittent gains: flats with a high level for their light.
         let mut by_response = by_light.clone();
         by_response.sort_by(|a, b| (a.level_dn / a.light).total_cmp(&(b.level_dn / b.light)));
         let orders = [(by_light, false), (in_time, false), (by_response, true)];
@@ -207,7 +208,7 @@ impl Check for GainStep {
         {
             return Vec::new();
         }
-        // The larger part counts; of equal ones that with less light.
+        // The larger part is kept; of equal ones that with less light.
         let light = |part: &[Point]| median(part.iter().map(|p| p.light));
         let [one, two] = &step.parts;
         let second_is_out = (two.len(), light(one)) <= (one.len(), light(two));

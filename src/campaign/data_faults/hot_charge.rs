@@ -1,34 +1,36 @@
-//! System gain by the charge of hot pixels of a dark: their shot noise A^2 E_DC over their level A E_DC (Healey
-//! and Kondepudy 1994, eq. 35). A level that the camera takes off all pixels alike is in neither.
+//! System gain from the charge of hot pixels in a dark: their shot noise A^2 E_DC over their level A
+//! E_DC (Healey and Kondepudy 1994, eq. 35). A level that the camera subtracts from all pixels alike
+//! affects neither.
 
 use crate::statistics::median::{ERROR_OVER_MEAN, MAD_OF_NORMAL, median};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Least distance of a hot pixel from the level of the frame, robust standard deviations over the pixels and DN
-/// (named choices): noise and the fixed pattern of the offset are small beside its charge.
+/// Minimum distance of a hot pixel from the level of the frame, robust standard deviations over the
+/// pixels and DN (named choices): noise and fixed offset pattern are small beside its charge.
 const MIN_SPREADS: f64 = 12.0;
 const MIN_ABOVE_DN: f64 = 10.0;
-/// Largest code of a hot pixel, of full scale: its noise stays below.
+/// Maximum code of a hot pixel, relative to full scale, so that its noise stays below.
 const MAX_OF_FULL: f64 = 0.75;
-/// Fewest hot pixels, and the number from which on the rest tell no more (named choices).
+/// Minimum number of hot pixels, and number beyond which more add nothing (named choices).
 const PIXELS: std::ops::RangeInclusive<usize> = 10..=1024;
-/// Most frames that are kept of them.
+/// Maximum number of frames stored for hot pixels.
 const MAX_FRAMES: usize = 64;
-/// Least ratio of the noise of the charge to that of other pixels (a named choice).
+/// Minimum ratio of the noise of the charge to that of other pixels (a named choice).
 const MIN_OVER_OTHERS: f64 = 2.0;
 
-/// Gain by the hot pixels of a dark.
+/// Gain from the hot pixels of a dark.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HotCharge {
     /// Gain, DN/e.
     pub gain_dn_per_e: f64,
-    /// Degrees of freedom of the variances that it is of.
+    /// Degrees of freedom of the underlying variances.
     pub dof: f64,
 }
 
 impl HotCharge {
-    /// Gain by some of them, DN/e, and its standard error: a variance has sqrt(2 / dof) of itself.
+    /// Combines several gains, DN/e, with standard error: the relative error of a variance is sqrt(2 /
+    /// dof).
     pub fn of_all(all: impl Iterator<Item = Self>) -> Option<(f64, f64)> {
         let (sum, dof) = all.fold((0.0, 0.0), |(sum, dof), h| (sum + h.dof * h.gain_dn_per_e, dof + h.dof));
         let gain = sum / dof;
@@ -36,17 +38,17 @@ impl HotCharge {
     }
 }
 
-/// Hot pixels of a set while its frames are read: those of the first frame.
+/// Hot pixels of a set while its frames are read, selected in the first frame.
 #[derive(Debug, Default)]
 pub(super) struct HotPixels {
     places: Vec<usize>,
     level_dn: f64,
-    /// Their codes, frame by frame.
+    /// Codes of the hot pixels, frame by frame.
     codes: Vec<Vec<u16>>,
 }
 
 impl HotPixels {
-    /// Takes in the next frame.
+    /// Adds the next frame.
     pub fn add(&mut self, codes: &[u16], full: u16) {
         if self.codes.is_empty() {
             self.find(codes, full);
@@ -57,7 +59,7 @@ impl HotPixels {
     }
 
     fn find(&mut self, codes: &[u16], full: u16) {
-        // Every so many pixels tell level and spread.
+        // Every n-th pixel suffices for level and spread.
         let step = (codes.len() / 16_384).max(1);
         let some = || codes.iter().step_by(step).map(|c| f64::from(*c));
         self.level_dn = median(some());
@@ -70,10 +72,11 @@ impl HotPixels {
         self.places = hot.into_iter().step_by(every).collect();
     }
 
-    /// The gain; `noise_dn2` is the temporal variance of the other pixels. `None` of few hot pixels or single
-    /// frames. The median passes over pixels that jump, and a charge that drifts in all alike is taken off.
+    /// Returns the gain; `noise_dn2` is the temporal variance of the other pixels. `None` with few hot
+    /// pixels or single frames. The median ignores jumping pixels, and a common drift of the charge is
+    /// removed.
     pub fn finish(self, noise_dn2: f64) -> Option<HotCharge> {
-        // The first frame may carry the set before.
+        // The first frame may contain carry-over from the previous set.
         let frames = &self.codes[usize::from(self.codes.len() > 3)..];
         if self.places.len() < *PIXELS.start() || frames.len() < 2 {
             return None;
@@ -85,11 +88,11 @@ impl HotPixels {
         let mut squares = vec![0.0; above.len()];
         for frame in frames {
             let off = |k: usize| f64::from(frame[k]) - self.level_dn - above[k];
-            // The median passes over pixels that jump.
+            // The median ignores jumping pixels.
             let drift = median((0..above.len()).filter(|&k| above[k] > 0.0).map(|k| off(k) / above[k]));
             squares.iter_mut().enumerate().for_each(|(k, s)| *s += (off(k) - drift * above[k]).powi(2));
         }
-        // Median of chi^2 over its degrees of freedom.
+        // Median of chi^2 relative to its degrees of freedom.
         let dof = n - 1.0;
         let of_median = ChiSquared::new(dof).ok()?.inverse_cdf(0.5) / dof;
         let gain = |k: usize| (squares[k] / dof / of_median - noise_dn2) / above[k];
@@ -108,8 +111,9 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Darks with some hot pixels, of which every tenth jumps by 200 DN in half of the frames, and a level that
-    /// grows by 2 % of the charge over the set: the gain is recovered without bias, and scatters as stated.
+    /// Darks with some hot pixels, of which every tenth jumps by 200 DN in half of the frames, and a
+    /// level that grows by 2 % of the charge over the set: the gain is recovered without bias, and
+    /// scatters as stated.
     #[test]
     fn hot_pixels_tell_the_gain() {
         for (frames, hot) in [(2, 60), (4, 30), (16, 24), (8, 400)] {
@@ -142,8 +146,8 @@ mod tests {
             let (mean, rms) = (sum / tell, (square / tell).sqrt());
             println!("{frames} frames, {hot} hot pixels: {tell} of {n}, mean {mean:.3}, rms {rms:.2}");
             assert!(tell > 0.9 * f64::from(n));
-            // A pixel that jumps counts as one of the noisier half: by 0.05 of a rank, which is the more the
-            // fewer frames.
+            // A jumping pixel counts in the noisier half: a shift by 0.05 of a rank, with a larger
+            // effect for fewer frames.
             assert!((0.93..1.2).contains(&mean), "{mean}");
             assert!((0.7..1.5).contains(&rms), "{rms}");
         }

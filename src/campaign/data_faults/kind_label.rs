@@ -1,31 +1,31 @@
-//! Dark and flat exchanged: a dark with the level and the noise of light, a flat without light. Flats with
-//! far less light than their label makes have a wrong label: the law of levels needs more flats to tell.
+//! Exchanged labels of darks and flats: a dark with the level and noise of light, a flat without light.
+//! Flats with far less light than stated have a wrong label: the law of levels needs more flats to
+//! reveal it.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::{Kind, LONG_DARKS};
 use crate::number::six_digits;
 use crate::statistics::median::median;
 
-/// Least range of levels that tells light from darkness, DN.
+/// Minimum range of levels that distinguishes light from darkness, DN.
 const MIN_RANGE_DN: f64 = 20.0;
-/// Share of the range that a dark reaches at least which is lit: offsets and charge of usual darks bring
-/// less.
+/// Minimum level of a lit dark, relative to the range: offsets and charge of usual darks are smaller.
 const MIN_LIT_SHARE: f64 = 0.05;
-/// Share of what its label makes a flat have, up to which it has no light.
+/// Maximum level of a flat without light, relative to that of its label.
 const MAX_UNLIT_SHARE: f64 = 0.02;
-/// Deviation from the level of flats of its exposure, relative, up to which a dark is one of them, and the
-/// share of it that another dark has at most.
+/// Maximum relative deviation of a dark from the level of flats of its exposure at which it is one of
+/// them, and maximum level of another dark relative to it.
 const AS_LIT: (f64, f64) = (0.1, 0.05);
-/// Standard deviations of a frame's mean by which both are told from darks.
+/// Minimum distance of both from darks, standard deviations of a frame's mean.
 const MIN_SIGMAS: f64 = 20.0;
 
-/// The check.
+/// Check for exchanged dark and flat labels.
 pub struct KindLabel;
 
 impl Check for KindLabel {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let all = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat));
-        // A first frame may carry what came before: of a dark the last one tells.
+        // The first frame may contain carry-over: for a dark the last one is used.
         let level = |i: usize| match campaign.sets[i].kind {
             Kind::Dark => campaign.sets[i].means_dn().last().copied().unwrap_or(f64::NAN),
             _ => campaign.sets[i].level_dn(),
@@ -58,7 +58,7 @@ impl Check for KindLabel {
             .copied()
             .filter(|&i| level(i) - lowest > MIN_LIT_SHARE * (highest - lowest))
             .collect();
-        // Flats that have nothing of what the others have for their exposure and light.
+        // Flats without any of the signal that the others have for their exposure and light.
         let zero = campaign.zero_without(&bright);
         let dark_at = |exposure_s: f64| zero.map_or(lowest, |z| z.at(exposure_s));
         let x = |i: usize| campaign.sets[i].exposure_s * campaign.sets[i].illumination;
@@ -67,7 +67,7 @@ impl Check for KindLabel {
         let longest_flat_s = lit.iter().map(|&i| campaign.sets[i].exposure_s).fold(0.0, f64::max);
         let response = median(lit.iter().map(|&i| above(i) / x(i)));
         let usual_light = median(lit.iter().map(|&i| campaign.sets[i].illumination));
-        // Without darks the dimmest flat would pass for one.
+        // Without darks the dimmest flat would be taken for one.
         let dim: Vec<usize> = lit
             .iter()
             .copied()
@@ -77,14 +77,14 @@ impl Check for KindLabel {
                 expected > MIN_RANGE_DN.max(MIN_SIGMAS * scatter) && above(i) < MAX_UNLIT_SHARE * expected
             })
             .collect();
-        // One that has light, and far less than its label makes, has a wrong label. The darks tell nothing at
-        // an exposure that is wrong.
+        // A flat with light, but far less than stated, has a wrong label. The darks say nothing about an
+        // exposure that is wrong.
         let own = |i: usize| level(i) - lowest;
         let few_dn = MIN_LIT_SHARE * (highest - lowest);
         let (unlit, wrong): (Vec<usize>, Vec<usize>) =
             dim.iter().copied().partition(|&i| own(i) < few_dn || above(i).abs() < few_dn);
-        // A bright dark is one of light where another of the same or a longer exposure is dark, where the
-        // charge of the others says so, or where a flat without light is what it was exchanged for.
+        // A bright dark was lit if another one of the same or a longer exposure is dark, if the charge
+        // of the others shows it, or if there is an unlit flat with which it was exchanged.
         let of_light = |&i: &usize| {
             let (own, exposure_s) = (level(i) - lowest, campaign.sets[i].exposure_s);
             let others = || darks.iter().filter(|&&d| d != i && !bright.contains(&d));
@@ -102,7 +102,8 @@ impl Check for KindLabel {
             own > MIN_SIGMAS * scatter && (longer || charge || as_lit || !long && !unlit.is_empty())
         };
         let lit_darks: Vec<usize> = bright.iter().copied().filter(of_light).collect();
-        // Labels mean something else where most are so; without a dark the dimmest flat is unlit by itself.
+        // If most labels disagree, they mean something else; without a dark, the dimmest flat looks
+        // unlit.
         if zero.is_none() && lit_darks.is_empty()
             || lit_darks.len() * 2 > darks.len().max(1) && unlit.len() != lit_darks.len()
             || dim.len() * 2 > lit.len()

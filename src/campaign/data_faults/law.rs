@@ -1,16 +1,17 @@
-//! A smooth law that all sets but a few follow, and how far those few are from it.
+//! Smooth law for all sets except a few, with the deviation of those few.
 //!
-//! Least squares with a normal prior on every coefficient (ridge regression: Hoerl and Kennard 1970): the priors
-//! say how far cameras usually bend, so that few sets suffice and the ends of the range are not left to
-//! extrapolation. The point whose deletion lowers the sum of squares most, e^2 / (1 - h), is taken out, again and
-//! again, and what stands out least is taken back: a single stray point is found whatever it does to the fit
-//! (Cook and Weisberg 1982, section 2.2.2). What is left tells the scatter; a point is judged by Student's t of a
-//! prediction that did not know it.
+//! Least squares with a normal prior on every coefficient (ridge regression: Hoerl and Kennard 1970):
+//! the priors state the usual bend of cameras, so that few sets suffice and the ends of the range are
+//! not extrapolated freely. The point whose deletion lowers the sum of squares most, e^2 / (1 - h), is
+//! removed repeatedly; then points that do not stand out are taken back, the least deviating first. Thus
+//! a single stray point is found whatever its influence on the fit (Cook and Weisberg 1982, section
+//! 2.2.2). The remaining points give the scatter; a point is judged by Student's t of a held-out
+//! prediction.
 
 use crate::fit::cholesky::Factor;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// A point: coefficients' factors, value, usual standard deviation.
+/// Point of the fit: factors of the coefficients, value, usual standard deviation.
 #[derive(Debug, Clone)]
 pub struct Point {
     /// Factor of each coefficient.
@@ -21,37 +22,37 @@ pub struct Point {
     pub std: f64,
 }
 
-/// The fit without the points that were taken out.
+/// Fit without the points that were removed.
 #[derive(Debug, Clone)]
 pub struct Law {
     coefficients: Vec<f64>,
     inverse: Vec<f64>,
-    /// Scatter over the nominal one.
+    /// Scatter relative to the nominal one.
     scale: f64,
-    /// Scatter over the nominal one by the points alone; infinite of few.
+    /// Scatter relative to the nominal one from the points alone; infinite for few points.
     own_scale: f64,
     dof: f64,
-    /// Points that were taken out.
+    /// Points that were removed.
     pub out: Vec<usize>,
 }
 
-/// Points' worth of knowledge that the scatter is the usual one (a named choice).
+/// Weight of the prior that the scatter is the usual one, in points (a named choice).
 const PRIOR_DOF: f64 = 3.0;
-/// Degrees of freedom from which on the points alone tell their scatter (a named choice).
+/// Minimum degrees of freedom at which the points alone determine their scatter (a named choice).
 const MIN_OWN_DOF: f64 = 3.0;
-/// Points up to which every pair of them is tried: 2000 fits.
+/// Maximum number of points for a search over all pairs: 2000 fits.
 const MAX_POINTS_FOR_PAIRS: usize = 64;
-/// Chance of a false stray in a campaign.
+/// Probability of a false stray in a campaign.
 const FALSE_STRAY_PROBABILITY: f64 = 1e-4;
 
 impl Law {
-    /// Fits; `priors`: standard deviations of the coefficients; at most so many points are taken out. `None` with
-    /// too few points.
+    /// Fits the law; `priors`: standard deviations of the coefficients; `most`: maximum number of
+    /// removed points. `None` with too few points.
     pub fn fit(points: &[Point], priors: &[f64], most: usize) -> Option<Self> {
         let most = most.min(points.len().saturating_sub(2));
         let one_by_one = Self::one_by_one(points, priors, most)?;
-        // Several strays on one side draw the fit to them: those furthest from the least absolute deviations go
-        // at once.
+        // Several strays on one side attract the fit: those furthest from a least-absolute-deviations
+        // fit are removed at once.
         let at_once = Self::furthest(points, priors, most).and_then(|out| Self::back_in(points, priors, out));
         Some(match at_once {
             Some(other) if other.scale < one_by_one.scale => other,
@@ -59,7 +60,7 @@ impl Law {
         })
     }
 
-    /// Takes out the point whose deletion lowers the squares most, again and again.
+    /// Removes the point whose deletion lowers the squares most, repeatedly.
     fn one_by_one(points: &[Point], priors: &[f64], most: usize) -> Option<Self> {
         let mut out: Vec<usize> = Vec::new();
         let mut law = Self::without(points, priors, &out)?;
@@ -72,7 +73,8 @@ impl Law {
             let Some(worst) = left.max_by(|a, b| drop(a).total_cmp(&drop(b))) else { break };
             out.push(worst);
             law = Self::without(points, priors, &out)?;
-            // Two strays hide each other: where labels were exchanged the first to go is another.
+            // Two strays mask each other: with exchanged labels the first to be removed may be a wrong
+            // one.
             if out.len() == 2 && points.len() <= MAX_POINTS_FOR_PAIRS {
                 for i in 0..points.len() {
                     for j in 0..i {
@@ -88,7 +90,7 @@ impl Law {
         Self::back_in(points, priors, out)
     }
 
-    /// Takes back in what does not stand out, the least first.
+    /// Takes back points that do not stand out, the least deviating first.
     fn back_in(points: &[Point], priors: &[f64], mut out: Vec<usize>) -> Option<Self> {
         let mut law = Self::without(points, priors, &out)?;
         while let Some(least) =
@@ -104,7 +106,8 @@ impl Law {
         Some(Self { out, ..law })
     }
 
-    /// The points furthest from the least absolute deviations, by repeated weights (Schlossmacher 1973).
+    /// Returns the points furthest from a least-absolute-deviations fit, by iterative reweighting
+    /// (Schlossmacher 1973).
     fn furthest(points: &[Point], priors: &[f64], most: usize) -> Option<Vec<usize>> {
         let mut weighed = points.to_vec();
         let mut law = Self::without(&weighed, priors, &[])?;
@@ -151,38 +154,38 @@ impl Law {
         Some(law)
     }
 
-    /// Scatter of the points about it, over what is stated of them.
+    /// Returns the scatter of the points about the law, relative to the stated one.
     pub fn scale(&self) -> f64 {
         self.scale
     }
 
-    /// Value at given factors.
+    /// Returns the value at given factors.
     pub fn at(&self, factors: &[f64]) -> f64 {
         self.coefficients.iter().zip(factors).map(|(c, f)| c * f).sum()
     }
 
-    /// Variance of that by the points, over the square of the scale.
+    /// Returns the variance of that value due to the points, divided by the squared scale.
     fn variance(&self, factors: &[f64]) -> f64 {
         let n = factors.len();
         (0..n).map(|i| (0..n).map(|j| factors[i] * self.inverse[i * n + j] * factors[j]).sum::<f64>()).sum()
     }
 
-    /// Residual over its usual deviation, and the leverage, of a point of the fit.
+    /// Returns the normalised residual and the leverage of a point of the fit.
     fn residual(&self, p: &Point) -> (f64, f64) {
         ((p.value - self.at(&p.factors)) / p.std, self.variance(&p.factors) / p.std.powi(2))
     }
 
-    /// Standard deviation of a point about the prediction that did not know it.
+    /// Returns the standard deviation of a point about its held-out prediction.
     pub fn std(&self, p: &Point) -> f64 {
         self.scale * (p.std.powi(2) + self.variance(&p.factors)).sqrt()
     }
 
-    /// Standard deviation of that by the scatter of the points alone; infinite of few.
+    /// Returns that standard deviation from the scatter of the points alone; infinite for few points.
     pub fn own_std(&self, p: &Point) -> f64 {
         self.own_scale / self.scale * self.std(p)
     }
 
-    /// Deviation over that, without its sign.
+    /// Returns the absolute deviation in these standard deviations.
     pub fn t(&self, p: &Point) -> f64 {
         ((p.value - self.at(&p.factors)) / self.std(p)).abs()
     }
@@ -196,7 +199,7 @@ impl Law {
         (off, self.scale * variance.sqrt())
     }
 
-    /// Returns true if the deviation is beyond chance among so many points.
+    /// Returns true if the deviation is beyond chance among this number of points.
     pub fn is_stray(&self, p: &Point, points: usize) -> bool {
         let (Ok(student), t) = (StudentsT::new(0.0, 1.0, self.dof), self.t(p)) else { return false };
         // statrs panics at the tail of NaN.
@@ -220,7 +223,7 @@ mod tests {
 
     const PRIORS: [f64; 3] = [1e3, 10.0, 0.1];
 
-    /// No stray in 2000 campaigns: the stated chance is 1e-4 each.
+    /// No stray in 2000 campaigns: the stated probability is 1e-4 each.
     #[test]
     fn chance_makes_no_stray() {
         let false_ones = (0..2000).filter(|s| {
@@ -251,7 +254,7 @@ mod tests {
         }
     }
 
-    /// NaN and infinite values make no stray, and no panic.
+    /// NaN and infinite values are not strays and cause no panic.
     #[test]
     fn nan_is_no_stray() {
         for value in [f64::NAN, f64::NEG_INFINITY] {
@@ -261,7 +264,7 @@ mod tests {
         }
     }
 
-    /// One or two points off by 5 %, wherever they are, twenty times their scatter of 0.4 % with the error of the
+    /// One or two points off by 5 %, anywhere: twenty times their scatter of 0.4 % with the error of the
     /// prediction at the ends.
     #[test]
     fn strays_are_found_wherever_they_are() {

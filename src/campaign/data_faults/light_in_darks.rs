@@ -1,9 +1,9 @@
-//! Light in the darks: dim flats that are called darks, a cap that leaks. What differs from pixel to pixel in
-//! the response is then in the darks too, in proportion to their light.
+//! Light in the darks: dim flats labelled as darks, or a leaking cap. The PRNU is then in the darks too,
+//! in proportion to their light.
 //!
-//! The response of each pixel is its slope over the levels of the flats (Healey and Kondepudy 1994, eq. 22);
-//! the regression of a dark's pattern on it is the light, DN. A response pattern that a black level has as
-//! well, as where columns have gains of their own, is no light: the darks would be brighter than they are.
+//! The response of each pixel is its slope over the levels of the flats (Healey and Kondepudy 1994, eq.
+//! 22); the regression of a dark's pattern on it is the light, DN. If the black level has the same
+//! pattern, as with column gains, it is not light: the darks would have to be brighter than they are.
 
 use super::campaign::Zero;
 use super::patterns::{Line, Noise, Sums, WithError, by_blocks, combined, pattern_of, share};
@@ -11,45 +11,44 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::with_error;
 
-/// Standard deviations of the light, and least light that is said, DN.
+/// Minimum significance of the light, standard deviations, and minimum light that is reported, DN.
 const MIN_LIGHT: (f64, f64) = (8.0, 3.0);
-/// Deviation of the light from the level of a dark, relative, up to which it is light in sweeps of the
-/// exposure.
+/// Maximum relative deviation of the light from the level of a dark in exposure sweeps.
 const SAME: f64 = 0.25;
-/// Least level of such a dark, as a share of the flats' range.
+/// Minimum level of such a dark, relative to the flats' range.
 const LARGE: f64 = 0.01;
-/// Least share of the flats' light that is said, and standard deviations.
+/// Minimum fraction of the flats' light that is reported, and minimum significance, standard deviations.
 const MIN_LEAK: (f64, f64) = (0.003, 6.0);
-/// Standard deviations of a smaller leak, the part of the darks' growth with the exposure that it makes, and the
-/// largest spread of that growth over the pixels, relative. Dark current is less even; where it is not, a gain
-/// that differs from pixel to pixel does to it what it does to light (named choices).
+/// Minimum significance of a smaller leak, standard deviations, its minimum part of the darks' growth
+/// with exposure, and maximum relative spread of that growth over the pixels. Dark current is less even;
+/// if it is not, gain differences between pixels affect it as they affect light (named choices).
 const MIN_EVEN_LEAK: f64 = 4.0;
 const PART_OF_GROWTH: std::ops::Range<f64> = 0.5..1.5;
 const MAX_EVEN_SPREAD: f64 = 0.06;
-/// Standard deviations by which the light of a leak may exceed what the darks grow by.
+/// Maximum excess of the light of a leak over the growth of the darks, standard deviations.
 const POSSIBLE_SIGMAS: f64 = 2.0;
-/// Share of the light by which the frames of a dark differ at most: what came before fades from frame to
+/// Maximum difference between frames of a dark, relative to the light: carry-over fades from frame to
 /// frame.
 const MAX_FADING: f64 = 0.3;
-/// Least difference of the first and the last frame of a dark that fades, DN.
+/// Minimum difference of first and last frame of a fading dark, DN.
 const FADES_DN: f64 = 0.5;
-/// Ratio of the light to what the level of a dark has above the black level, at most.
+/// Maximum ratio of the light to the level of a dark above the black level.
 const MAX_OF_LEVEL: f64 = 1.3;
-/// Ratio of a dark's level to the dimmest flat up to which the flat is not what it was exchanged for, unless
-/// all of its level is light.
+/// Maximum ratio of a dark's level to the dimmest flat at which they are not considered exchanged,
+/// unless all of its level is light.
 const AS_DIM: f64 = 1.05;
-/// Least ratio of the levels of the flats.
+/// Minimum ratio of the levels of the flats.
 const MIN_RANGE: f64 = 1.5;
-/// Deviation of the light from growth with the exposure, relative, up to which a cap leaks.
+/// Maximum relative deviation of the light from growth with exposure for a leaking cap.
 const GROWS: f64 = 0.3;
-/// The check.
+/// Check for light in darks.
 pub struct LightInDarks;
 
-/// Light that a dark was found to have.
+/// Light found in a dark.
 struct Lit {
     set: usize,
     light_dn: WithError,
-    /// True if it is sure.
+    /// True if the light is certain.
     sure: bool,
 }
 
@@ -67,7 +66,7 @@ impl Check for LightInDarks {
         else {
             return leak(campaign, &darks, &flats);
         };
-        // A leak grows with the exposure in all darks; at zero exposure they are dark.
+        // A leak grows with exposure in all darks and vanishes at zero exposure.
         let exposure_s = |i: usize| campaign.sets[i].exposure_s;
         let per_s = most.light_dn.0 / exposure_s(most.set);
         let several = darks.iter().any(|&i| exposure_s(i) < 0.7 * exposure_s(most.set));
@@ -92,7 +91,7 @@ impl Check for LightInDarks {
     }
 }
 
-/// Light of every dark by the response of the flats; `None` where these show none.
+/// Returns the light of every dark from the flats' response; `None` if the flats do not determine it.
 fn lights(campaign: &Campaign<'_>, darks: &[usize], flats: &[usize], zero: &Zero) -> Option<Vec<Lit>> {
     let columns = campaign.sets[flats[0]].facts.middle_columns;
     let x: Vec<f64> = flats.iter().map(|&i| campaign.sets[i].level_dn()).collect();
@@ -118,8 +117,8 @@ fn lights(campaign: &Campaign<'_>, darks: &[usize], flats: &[usize], zero: &Zero
         );
         let means = set.means_dn();
         let fading = means.first().zip(means.last()).map_or(0.0, |(a, b)| (a - b).abs());
-        // Slopes over levels of longer exposures have the pattern of the dark current too, of which a dark
-        // has only by accident as much as its level makes light.
+        // Slopes over longer exposures include the dark-current pattern, which a dark contains with just
+        // the amount of its level only by coincidence.
         let is_its_level = || {
             (light_dn / above_dn - 1.0).abs() < SAME
                 && above_dn > LARGE * (brightest - black_dn)
@@ -135,8 +134,8 @@ fn lights(campaign: &Campaign<'_>, darks: &[usize], flats: &[usize], zero: &Zero
     Some(darks.iter().filter_map(light).collect())
 }
 
-/// Light that leaks in while darks are exposed: their pattern grows with the exposure as the response does.
-/// Darks that fade from frame to frame carry the light of the flats before them.
+/// Finds light that leaks in during dark exposures: their pattern grows with exposure like the response.
+/// Darks that fade from frame to frame have carry-over from the flats before them.
 fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<DataFault> {
     let scatter_dn = campaign.dark_scatter_dn();
     let fades = |i: usize| {
@@ -148,7 +147,7 @@ fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<Da
         let x: Vec<f64> = sets.iter().map(|&i| campaign.sets[i].exposure_s).collect();
         Line::of(campaign, sets, &x)
     };
-    // The noise of the darks is measured, with that of noisy pixels.
+    // The noise of the darks is measured, including noisy pixels.
     let measured = |sets: &[usize], weights: &[f64]| {
         let own = |(&i, w): (&usize, &f64)| w * w * campaign.sets[i].facts.middle_noise_dn2;
         sets.iter().zip(weights).map(own).sum::<f64>()
@@ -173,7 +172,8 @@ fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<Da
     );
     let is_growth = PART_OF_GROWTH.contains(&(part * of_light / growth)) && spread < MAX_EVEN_SPREAD * growth;
     let is_sure = part > MIN_LEAK.0 && part > MIN_LEAK.1 * std || is_growth && part > MIN_EVEN_LEAK * std;
-    // More light than the darks grow by is none: other flats have other gains, or darks have other exposures.
+    // More light than the darks grow by is impossible: other flats have other gains, or darks have other
+    // exposures.
     let is_possible = part < 1.0 && (part - POSSIBLE_SIGMAS * std) * of_light < growth;
     if !is_sure || !is_possible {
         return Vec::new();
@@ -187,12 +187,12 @@ fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<Da
     vec![campaign.fault_of_sets(FaultKind::KindLabel, darks, text, false)]
 }
 
-/// Share of the flats' light in the darks with its error, from the growth of both patterns with the exposure,
-/// each with its noise; and the deviation of the dark current from pixel to pixel.
+/// Returns the fraction of the flats' light in the darks with its error, from the growth of both
+/// patterns with exposure, each with its noise; and the spread of the dark current over the pixels.
 ///
-/// The flats' growth is R + P, response and dark current (eq. 22), and that of the darks e R + P. R and P are
-/// not correlated, so that of the mean products A = (e R + P)(R + P), B = (e R + P)^2 and C = (R + P)^2 the
-/// share of the light is e = (A - B) / (C - A), and P^2 = (B C - A^2) / (B + C - 2 A).
+/// The flats grow by R + P, response and dark current (eq. 22), and the darks by e R + P. R and P are
+/// uncorrelated, so with the mean products A = (e R + P)(R + P), B = (e R + P)^2 and C = (R + P)^2 the
+/// fraction of the light is e = (A - B) / (C - A), and P^2 = (B C - A^2) / (B + C - 2 A).
 fn leaked(dark: &[f64], noise: Noise, flat: &(Vec<f64>, f64), columns: usize) -> Option<(f64, f64, f64)> {
     let without_noise = |[a, b, c, n]: Sums| (a, b - n * noise.dn2, c - n * flat.1);
     let of = |sums: &Sums| {
@@ -211,8 +211,9 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// In 300 sensors whose response differs ten times as much as their dark current, leaks of none, 1 and 5
-    /// % of the light: within four errors of the mean, the scatter that of the stated error to a fifth.
+    /// In 300 sensors whose response spreads ten times as much as their dark current, with leaks of 0, 1
+    /// and 5 % of the light: the mean agrees within four errors, and the scatter equals the stated error
+    /// to a fifth.
     #[test]
     fn the_error_of_a_leak_is_its_scatter() {
         for truth in [0.0, 0.01, 0.05] {

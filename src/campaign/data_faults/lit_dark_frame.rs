@@ -1,15 +1,15 @@
-//! Light on the second frame of a pair of darks: the first is that of the other darks.
+//! Light on the second frame of a dark pair: the first one agrees with the other darks.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 
-/// Standard deviations of the darks within which a frame is theirs; it is lit from ten times as many on.
+/// Maximum distance of a frame from the darks, standard deviations; ten times that shows light.
 const MAX_DARK_SIGMAS: f64 = 10.0;
 /// Minimum width of that band, DN.
 const MIN_DARK_BAND_DN: f64 = 0.3;
 
-/// The check.
+/// Check for a lit frame in a dark pair.
 pub struct LitDarkFrame;
 
 impl Check for LitDarkFrame {

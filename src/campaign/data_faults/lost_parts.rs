@@ -1,21 +1,21 @@
-//! Frames of which a part never arrived: a long run of samples that are exactly 0, where the rest of the frame
-//! and the other frames have a black level. Links without resends leave such parts (GigE Vision packets that were
-//! lost).
+//! Frames with lost parts: a long run of samples that are exactly 0, while the rest of the frame and the
+//! other frames have a black level. Links without resends lose such parts (GigE Vision packets).
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 use serde::{Deserialize, Serialize};
 
-/// Least number of samples in a row, in read-out order (a named choice: a tenth of the smallest packet).
+/// Minimum number of consecutive samples, in read-out order (a named choice: a tenth of the smallest
+/// packet).
 const MIN_RUN: usize = 64;
-/// Share of the frames from which on it is what the sensor has: rows without pixels, darks at the end of the
-/// range.
+/// Maximum fraction of frames with lost parts: more are a property of the sensor: rows without pixels,
+/// darks clipped at zero.
 const MAX_SHARE: f64 = 0.5;
-/// Share of the samples elsewhere that may be 0: more are darks at the end of the range.
+/// Maximum fraction of zeros among the other samples: more are darks clipped at zero.
 const MAX_ZEROS: f64 = 0.01;
-/// Largest share of a frame that is lost, and least mean of the rest, DN: frames of darks at the end of the range
-/// have nearly all of their samples in such runs, and little in the others (named choices).
+/// Maximum lost fraction of a frame, and minimum mean of the rest, DN: in darks clipped at zero nearly
+/// all samples are in such runs, and the others have little signal (named choices).
 const MAX_LOST: f64 = 0.5;
 const MIN_REST_DN: f64 = 4.0;
 
@@ -29,7 +29,7 @@ pub struct Zeros {
 }
 
 impl Zeros {
-    /// Number of the samples that stand in no long run.
+    /// Returns the number of samples outside long runs.
     pub fn single(&self) -> f64 {
         f64::from(self.single)
     }
@@ -44,13 +44,13 @@ impl Zeros {
         out
     }
 
-    /// Returns true for frames without long runs of them.
+    /// Returns true for frames without long runs of zeros.
     pub fn are_single(&self) -> bool {
         self.in_runs == 0
     }
 }
 
-/// The check.
+/// Check for lost parts.
 pub struct LostParts;
 
 impl Check for LostParts {

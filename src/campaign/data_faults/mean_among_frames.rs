@@ -1,5 +1,5 @@
-//! The mean of a set's frames saved among them, as its first or last file: it has less noise than they have, and
-//! is made of their noise.
+//! Mean of a set's frames saved among them, as first or last file: it has less noise than they have, and
+//! correlates with theirs.
 
 use super::set_view::SetView;
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -7,23 +7,25 @@ use crate::dataset::Kind;
 use crate::number::six_digits;
 use crate::statistics::median::median;
 
-/// Variance of the difference between a frame and the mean of m that it is in, over that of the difference of two
-/// frames: (1 - 1/m) / 2; more for a median, and for the mean of others. Above it and below 1 (a named choice).
+/// Maximum ratio of the variance of the difference between a frame and the mean of m that includes it to
+/// that of the difference of two frames: (1 - 1/m) / 2; higher for a median, and for a mean of other
+/// frames. The limit is above that and below 1 (a named choice).
 const MAX_RATIO: f64 = 0.7;
-/// Frames of a set from which on the others tell their own noise.
+/// Minimum number of frames of a set at which the others determine their own noise.
 const MIN_FRAMES: usize = 4;
-/// Least signal-to-rounding of the noise, DN^2: rounding adds its own to the mean.
+/// Minimum noise variance above rounding, DN^2: rounding adds its own to the mean.
 const MIN_VARIANCE_DN2: f64 = 0.5;
-/// Largest deviation of its level, of the signal and in DN: a mean has the level of its frames (named choices).
+/// Maximum deviation of its level, relative to the signal and in DN: a mean has the level of its frames
+/// (named choices).
 const MAX_OFF: f64 = 0.01;
 const MAX_OFF_DN: f64 = 0.5;
-/// Least share of the sets in which it is so.
+/// Minimum fraction of the sets that are affected.
 const MIN_SETS: f64 = 0.5;
 
-/// The check.
+/// Check for a mean among the frames.
 pub struct MeanAmongFrames;
 
-/// Place of the frame in its set.
+/// Position of the mean in its set.
 #[derive(Clone, Copy)]
 enum End {
     First,
@@ -79,12 +81,12 @@ impl Check for MeanAmongFrames {
     }
 }
 
-/// Variance of the differences to the frame at an end over that of the others', the larger of that to the next
-/// frame and that to the second next; `None` where rounding hides it.
+/// Returns the variance of the differences to the frame at an end relative to that of the others, the
+/// larger one of next and second-next frame; `None` if rounding hides it.
 fn ratio(set: &SetView, end: End) -> Option<f64> {
     let (near, far) = (&set.facts.successive_dn2, &set.facts.second_dn2);
     let n = near.len();
-    // First frames may carry the set before.
+    // The first frames may contain carry-over from the previous set.
     let (own_near, own_far, others) = match end {
         End::First => (near[1], far[2], &near[2..]),
         End::Last => (near[n - 1], far[n - 1], &near[2..n - 1]),

@@ -1,16 +1,18 @@
-//! A look at the data before any physics: slips of the hand, named with their sets and left out.
+//! Examination of the data before any physics: faults in recording are named with their sets and
+//! excluded.
 //!
-//! Every verb that reads a campaign goes through [`examined`]: what is left out is left out everywhere, and
-//! said everywhere in the same words.
+//! Every command that reads a campaign uses [`examined`]: excluded data are excluded everywhere, and
+//! reported everywhere in the same words.
 //!
 //! # To add a check
 //!
-//! Write one file here with a type that implements `Check`, and put both names on the list at the end of this
-//! file. Checks run in that order, and each sees the campaign without what those before it left out.
+//! Write one file here with a type that implements `Check`, and add both names to the list at the end of
+//! this file. Checks run in that order, and each sees the campaign without the data excluded by earlier
+//! ones.
 //!
-//! No check knows a model of the sensor. Sets are held against the others of their campaign: levels against a
-//! smooth law of exposure times light, variances against a smooth law of the level. Whatever acts on all sets
-//! alike bends those laws and is for `diagnose` to name; a slip is what one set does, or few.
+//! No check knows a sensor model. Sets are compared with the others of their campaign: levels with a
+//! smooth law of exposure times light, variances with a smooth law of the level. An effect on all sets
+//! alike bends those laws and is left to `diagnose`; a fault is a deviation of one set or a few.
 
 mod campaign;
 mod facts;
@@ -34,26 +36,26 @@ use crate::statistics::outliers::are_rays;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Looks for one kind of slip.
+/// Check for one kind of fault.
 trait Check: Sync {
-    /// Finds faults, and marks in the campaign the sets and frames that it leaves out.
+    /// Finds faults, and marks the sets and frames excluded by it in the campaign.
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault>;
 }
 
-/// Reasons for an examination without a result.
+/// Errors of an examination.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExamineError {
-    /// The dataset.
+    /// Error of the dataset.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// The user asked for the end.
+    /// Interrupted by the user.
     #[error("interrupted")]
     Interrupted,
 }
 
-/// The dataset without what is wrong with it; [`Dataset::data_faults`] then says what that was. One that was
-/// examined stays as it is.
+/// Returns the dataset without the faulty data; [`Dataset::data_faults`] then lists the faults. An
+/// examined dataset is returned unchanged.
 ///
 /// ```
 /// # let folder = tempfile::tempdir()?;
@@ -72,7 +74,7 @@ pub enum ExamineError {
 ///
 /// # Errors
 ///
-/// Which frame cannot be read, or that it was stopped.
+/// A frame cannot be read, or the user interrupted.
 pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, ExamineError> {
     if dataset.is_examined() {
         return Ok(dataset.clone());
@@ -105,7 +107,8 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
 }
 
 impl StruckSamples {
-    /// Counts them over all sets. Samples in the same pixels again and again are no rays but noisy pixels.
+    /// Counts outlier samples over all sets. Samples that repeat in the same pixels are noisy pixels,
+    /// not cosmic rays.
     fn of(facts: &[SetFacts]) -> Self {
         let pixels: Vec<usize> =
             facts.iter().flat_map(|f| f.struck_pixels.iter().map(|pixel| *pixel as usize)).collect();
@@ -118,7 +121,7 @@ impl StruckSamples {
 
 /// Computes the statistics of every set, or takes them from a file of statistics.
 pub(crate) fn facts_of(dataset: &Dataset, stop: &AtomicBool) -> Result<Vec<SetFacts>, ExamineError> {
-    // Memory follows what is there: a frame must confirm the size that a header claims.
+    // Memory is bounded by actual data: a frame must confirm the size claimed by a header.
     if let Some(row) = dataset.rows().first().filter(|_| dataset.reduced().is_none()) {
         dataset.read(row)?;
     }
@@ -141,7 +144,7 @@ pub(crate) fn facts_of(dataset: &Dataset, stop: &AtomicBool) -> Result<Vec<SetFa
 macro_rules! checks {
     ($($module:ident::$name:ident)*) => {
         $(mod $module;)*
-        /// Every check, in the order in which they run.
+        /// All checks in execution order.
         static CHECKS: &[&dyn Check] = &[$(&$module::$name),*];
     };
 }

@@ -1,25 +1,26 @@
-//! A field that moves or changes its shape while a set is taken: the image shifts, the lamp wanders.
+//! Field that moves or changes its shape during a set: the image shifts, the lamp wanders.
 //!
-//! A shift d per frame changes a pixel by k d dI/dx over k frames (first order in d), so that the variance of
-//! the difference of frames k apart exceeds that of the noise by a term that grows with k^2. A filter over
-//! time with the correlation r makes it 2 sigma^2 (1 - r^k): frames two apart differ nearly as much as the
-//! first and the last.
+//! A shift d per frame changes a pixel by k d dI/dx over k frames (first order in d), so the variance of
+//! the difference of frames k apart exceeds that of the noise by a term that grows with k^2. A temporal
+//! filter with the correlation r makes it 2 sigma^2 (1 - r^k): frames two apart differ nearly as much as
+//! the first and the last.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::six_digits;
 
-/// Least number of frames that tell a motion from a filter (this and the next three: named choices).
+/// Minimum number of frames that distinguishes motion from a filter (this and the next three: named
+/// choices).
 const MIN_FRAMES: usize = 7;
-/// Least ratio of the variance of the last frame and the third to that of successive ones.
+/// Minimum ratio of the variance between the last frame and the third to that of successive ones.
 const MIN_RATIO: f64 = 1.2;
-/// Least ratio of what these differ by beyond the noise to what frames two apart do.
+/// Minimum ratio of the excess of that difference over the noise to the excess of frames two apart.
 const MIN_GROWTH: f64 = 4.0;
-/// Standard deviations of a variance beyond which it is more.
+/// Minimum significance of an excess variance, standard deviations.
 const MIN_SIGMAS: f64 = 10.0;
-/// Share of the variance that the motion may add in the frames that stay (a named choice).
+/// Maximum contribution of motion to the variance in the frames that stay (a named choice).
 const MAX_SHARE: f64 = 0.02;
 
-/// The check.
+/// Check for a moving field.
 pub struct MovingField;
 
 impl Check for MovingField {
@@ -27,7 +28,7 @@ impl Check for MovingField {
         let mut found = Vec::new();
         for i in campaign.places(|s| s.is_lit() && !s.clipped && s.kept.len() >= MIN_FRAMES) {
             let set = &campaign.sets[i];
-            // Frames left out may be the ones compared.
+            // Excluded frames may be among those compared.
             let whole = set.kept.iter().all(|kept| *kept);
             let Some((successive, _)) = set.variance_dn2().filter(|_| whole) else { continue };
             let n = set.facts.second_dn2.len();

@@ -1,35 +1,36 @@
-//! One frame of another level or another field than the others of its set: a flash, someone in the light.
+//! Single frame with another level or light field than the others of its set: a flash, someone in the
+//! light.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::{percent, six_digits};
 use crate::statistics::outliers;
 
-/// Standard deviations of a frame's mean from which on it is odd.
+/// Minimum deviation of an odd frame, standard deviations of a frame's mean.
 const MIN_SIGMAS: f64 = 8.0;
-/// Least deviation from the other frames, over the signal: what is less costs nobody anything.
+/// Minimum deviation from the other frames, relative to the signal: smaller ones are harmless.
 const MIN_RELATIVE_OFFSET: f64 = 0.002;
 /// Minimum deviation of a dark frame, DN.
 const MIN_OFFSET_DN: f64 = 0.3;
-/// Share of the frames up to which they are slips: more are what the camera or the lamp does.
+/// Maximum fraction of frames that are isolated faults: more are a property of the camera or the lamp.
 const MAX_SHARE_OF_FRAMES: f64 = 0.05;
 
-/// Share of a change of level up to which a first frame may carry it over.
+/// Maximum fraction of a level change that a first frame may carry over.
 const MAX_LAG: f64 = 0.05;
-/// Share of its deviation that the frames beside an odd one have at most.
+/// Maximum deviation of the frames beside an odd one, relative to its deviation.
 const MAX_NEIGHBOUR_SHARE: f64 = 0.34;
-/// Frames of a set up to which one at most is odd.
+/// Maximum number of frames of a set with at most one odd frame.
 const FEW_FRAMES: usize = 7;
-/// Share that first frames carry over, from which on what came before the first set shows.
+/// Minimum carry-over into first frames at which the level before the first set matters.
 const MIN_CARRIED_SHARE: f64 = 3e-4;
 /// Maximum ratio of the carried share to its median: lag depends on the time between frames.
 const CARRIED_TOLERANCE: f64 = 3.0;
 /// Cells of a frame.
 const CELLS_PER_FRAME: f64 = 36.0;
-/// Share of the sets up to which one frame of each is a slip.
+/// Maximum fraction of sets with one odd frame each that are isolated faults.
 const MAX_SHARE_OF_SETS: f64 = 0.4;
 
-/// The check.
+/// Check for odd frames.
 pub struct OddFrame;
 
 impl Check for OddFrame {
@@ -54,7 +55,7 @@ impl Check for OddFrame {
             let places: Vec<usize> = (0..view.kept.len()).filter(|p| view.kept[*p]).collect();
             let signal = (apart.level_dn - zero.at(view.exposure_s)).max(1.0);
             let least = if *dark { MIN_OFFSET_DN } else { (MIN_RELATIVE_OFFSET * signal).max(MIN_OFFSET_DN) };
-            // Light bands and flicker move the means of short exposures, and not those of others.
+            // Light bands and flicker move the means of short exposures, but not those of others.
             let scatter = usual_scatter.of_frame_dn(view).max(apart.usual_mean_dn());
             // Hot pixels make cells scatter.
             let noise = view.variance_dn2().map_or(0.0, |v| v.0);
@@ -66,7 +67,7 @@ impl Check for OddFrame {
                 if off.abs() <= least.max(MIN_SIGMAS * scatter) && !by_cell {
                     return false;
                 }
-                // A level that settles or drifts goes step by step: an odd frame stands alone.
+                // A level that settles or drifts does so step by step: an odd frame stands alone.
                 let beside = [k.checked_sub(1), Some(*k + 1)]
                     .into_iter()
                     .flatten()
@@ -74,16 +75,18 @@ impl Check for OddFrame {
                 let most =
                     |offsets: &mut dyn Iterator<Item = &f64>| offsets.fold(0.0f64, |a, b| a.max(b.abs()));
                 let mut others = apart.mean_dn.iter().enumerate().filter(|(n, _)| n != k).map(|(_, off)| off);
-                // An odd one of few frames stands out from all others.
+                // In a set of few frames the odd one must stand out from all others.
                 let near = if places.len() <= FEW_FRAMES { most(&mut others) } else { most(&mut { beside }) };
                 if !by_cell && near > MAX_NEIGHBOUR_SHARE * off.abs() {
                     return false;
                 }
-                // Lag of less than any slip counts too: a sensor that keeps 1e-5 of 60000 DN for the next dark.
+                // Lag below any fault matters too: a sensor may carry 1e-5 of 60000 DN into the next
+                // dark.
                 let most = share.map_or(MAX_LAG, |s| {
                     if s.abs() > MIN_CARRIED_SHARE { CARRIED_TOLERANCE * s.abs() } else { MIN_CARRIED_SHARE }
                 });
-                // The level before is carried over, and dies away; that before the first set is not known.
+                // The previous level is carried over and decays; the level before the first set is
+                // unknown.
                 let Some(before) = set.checked_sub(1).map(|b| &campaign.sets[b]) else {
                     return places[*k] > 2
                         || share.is_none_or(|s| s.abs() < MIN_CARRIED_SHARE)
@@ -91,7 +94,7 @@ impl Check for OddFrame {
                 };
                 let change = if before.frames() > 0 { before.last_dn() - apart.level_dn } else { 0.0 };
                 let carried = places[*k] <= 2 && off * change > 0.0 && off.abs() < most * change.abs();
-                // Noise tells lag from a dim frame where too few changes of level do.
+                // If there are too few level changes, the noise distinguishes lag from a dim frame.
                 let carried = carried && !(share.is_none() && view.lacks_lag(off / change, before));
                 let dies_away = (1..=2).contains(k)
                     && apart.mean_dn[*k - 1] * off > 0.0
@@ -103,7 +106,7 @@ impl Check for OddFrame {
                 odd.extend(own.iter().map(|k| (set, places[*k], apart.mean_dn[*k], signal)));
             }
         }
-        // A dark of two frames, one of which is that of the other darks.
+        // Dark of two frames, one of which agrees with the other darks.
         for set in campaign.places(|s| s.kind == Kind::Dark && s.frames() == 2) {
             let level = zero.at(campaign.sets[set].exposure_s);
             let means = campaign.sets[set].means_dn();
@@ -115,7 +118,7 @@ impl Check for OddFrame {
                 odd.push((set, places[k], off[k], 1.0));
             }
         }
-        // The same frame of sets that follow one another: the light was another for a part of the sweep.
+        // Frame with the same index in successive sets: the light differed during a part of the sweep.
         let part = odd.len() > 1 && odd.iter().all(|o| o.1 == odd[0].1);
         let kind = if part { FaultKind::UnequalLight } else { FaultKind::OddFrame };
         let few = if part {

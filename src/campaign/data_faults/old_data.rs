@@ -1,52 +1,51 @@
-//! Parts of frames that hold the data of a frame before: a lost packet whose place in the buffer was not
-//! cleared.
+//! Frames with parts of an earlier frame: a packet was lost and its place in the buffer not cleared.
 
 use super::facts::digest;
 use super::{Campaign, Check, DataFault, FaultKind};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Pixels of a segment: shorter than the payload of a GigE Vision packet of 1500 bytes, and noise that leaves
-/// seven tenths of the pixels as they were repeats all of them once in 10^40 times.
+/// Number of pixels per segment: shorter than the payload of a GigE Vision packet of 1500 bytes. Noise
+/// that leaves 70 % of the pixels unchanged repeats all of them with probability 10^-40.
 const SEGMENT: usize = 256;
-/// Frames before, of the same set, that are compared: drivers have that many buffers in turn (a named
+/// Number of earlier frames of the set that are compared: drivers rotate that many buffers (a named
 /// choice).
 const BUFFERS: usize = 16;
-/// Share of the pixels that differ from frame to frame around a segment, from which on its noise tells.
+/// Minimum fraction of pixels that differ from frame to frame around a segment with usable noise.
 const MIN_CHANGED: f64 = 0.3;
-/// Segments on either side that are around one.
+/// Number of surrounding segments on either side.
 const AROUND: usize = 8;
-/// Share of the samples of a segment at code 0 or at full scale up to which its noise tells.
+/// Maximum fraction of the samples of a segment at code 0 or full scale with usable noise.
 const MAX_AT_ENDS: f64 = 0.1;
-/// Share of the frames up to which the same segment is old data: more repeat what is burnt into the image.
+/// Maximum fraction of frames in which the same segment is old data: more show something burnt into the
+/// image.
 const MAX_SHARE_OF_FRAMES: f64 = 0.05;
 
 /// Old data in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OldData {
-    /// Place of the frame in its set.
+    /// Index of the frame in its set.
     pub frame: usize,
-    /// Place of the frame whose data it holds.
+    /// Index of the frame that the data come from.
     pub of: usize,
     /// First pixel, row by row, and number of pixels.
     pub pixels: (usize, usize),
 }
 
-/// Search for old data in the frames of a set, one frame after the other.
+/// Incremental search for old data in the frames of a set.
 #[derive(Debug, Default)]
 pub(super) struct Search {
     frames: usize,
-    /// Digests of the segments of the frames before, the newest first; `None` of a segment whose noise tells
-    /// nothing.
+    /// Segment digests of earlier frames, the newest first; `None` for a segment without usable noise.
     before: VecDeque<Vec<Option<u64>>>,
-    /// Most pixels of each segment that differed from one frame to the next.
+    /// Maximum number of pixels of each segment that changed between frames.
     most_changed: Vec<u16>,
-    /// Segments that repeat those of a frame before: (segment, frame, frame before).
+    /// Segments that repeat those of an earlier frame: (segment, frame, earlier frame).
     repeated: Vec<(usize, usize, usize)>,
 }
 
 impl Search {
-    /// Takes the next frame, and the one before it.
+    /// Adds the next frame, with the previous one.
     pub fn add(&mut self, codes: &[u16], before: Option<&[u16]>, full: u16) {
         let tells = |segment: &[u16]| {
             let ends = segment.iter().filter(|c| **c == 0 || **c >= full).count();
@@ -65,7 +64,7 @@ impl Search {
             let same =
                 |(s, (a, b)): (usize, (&Option<u64>, &Option<u64>))| (a.is_some() && a == b).then_some(s);
             let same: Vec<usize> = own.iter().zip(other).enumerate().filter_map(same).collect();
-            // The whole frame is a copy: that is another check's.
+            // A copy of the whole frame is left to another check.
             if same.len() < own.iter().flatten().count() {
                 self.repeated.extend(same.into_iter().map(|s| (s, self.frames, self.frames - 1 - back)));
             }
@@ -75,7 +74,7 @@ impl Search {
         self.frames += 1;
     }
 
-    /// Old data, frame by frame.
+    /// Returns the old data, frame by frame.
     pub fn finish(mut self) -> Vec<OldData> {
         let around = |s: usize| {
             let near = s.saturating_sub(AROUND)..(s + AROUND + 1).min(self.most_changed.len());
@@ -101,7 +100,7 @@ impl Search {
     }
 }
 
-/// The check.
+/// Check for old data in frames.
 pub struct OldDataInFrames;
 
 impl Check for OldDataInFrames {
@@ -111,8 +110,8 @@ impl Check for OldDataInFrames {
             let view = &campaign.sets[set];
             found.extend(view.facts.old_data.iter().filter(|o| view.kept[o.frame]).map(|o| (set, *o)));
         }
-        // Data that repeat at one place in many sets are no lost packet: lines of the sensor's registers,
-        // say.
+        // Data that repeat at one position in many sets are not lost packets, but for example lines of
+        // sensor registers.
         let frames = campaign.places(|_| true).iter().map(|&s| campaign.sets[s].frames()).sum::<usize>();
         let most = (MAX_SHARE_OF_FRAMES * frames as f64).max(1.0) as usize;
         let places: Vec<usize> = found.iter().map(|(_, o)| o.pixels.0).collect();
@@ -144,7 +143,7 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Noise of this deviation on 40 rows of 100 pixels.
+    /// Returns noise of this standard deviation on 40 rows of 100 pixels.
     fn frame(k: u64, sigma: f64) -> Vec<u16> {
         let code = |i: u32| 500.4 + sigma * PixelRng::new(7, Stream::Effect, k, i, 0).normal();
         (0..4000).map(|i| code(i).round() as u16).collect()
@@ -158,8 +157,8 @@ mod tests {
         search.finish()
     }
 
-    /// A part of the frame before, or of one five before, is found with its place; noise repeats nothing, nor
-    /// does what is burnt into the image, is at full scale, or lies where nothing moves.
+    /// A part of the previous frame, or of the fifth before, is found with its position. Noise is not,
+    /// nor is an image that is burnt in, at full scale, or without changes.
     #[test]
     fn old_data_are_found_and_noise_is_not() {
         for sigma in [0.5, 3.0] {

@@ -1,12 +1,12 @@
-//! Fixed pattern in the middle of the frame, without smooth shading: it shows the orientation.
+//! Fixed pattern in the centre of the frame, without smooth shading: it shows the orientation.
 
 use crate::statistics::median::{MAD_OF_NORMAL, median};
 
-/// Side of the blocks whose means are taken off, pixels: shading is smooth within them.
+/// Side of the blocks whose means are removed, pixels: shading is smooth within them.
 const BLOCK: usize = 8;
 
-/// The pattern of an image of so many columns, in which single pixels far off count as little as others (at most
-/// three deviations).
+/// Returns the pattern of an image with this number of columns, with outliers clipped (at most three
+/// deviations).
 pub fn pattern(image: &[f32], columns: usize) -> Vec<f64> {
     let image: Vec<f64> = image.iter().map(|v| f64::from(*v)).collect();
     let mut out = flattened(&image, columns);
@@ -15,11 +15,12 @@ pub fn pattern(image: &[f32], columns: usize) -> Vec<f64> {
     out
 }
 
-/// Deviations of a pixel from the median of its block from which on it is hot, or dust (a named choice): a mean
-/// would put its part of it into all pixels of the block, the row and the column.
+/// Minimum deviation of a hot or dusty pixel from the median of its block (a named choice): in a mean it
+/// would affect all pixels of the block, the row and the column.
 const MAX_DEVIATIONS: f64 = 5.0;
 
-/// An image of so many columns, of mean 0 in every block, and then in every row and column, hot pixels left out.
+/// Returns an image with this number of columns, with mean 0 in every block, and then in every row and
+/// column, hot pixels excluded.
 pub fn flattened(image: &[f64], columns: usize) -> Vec<f64> {
     let rows = image.len() / columns.max(1);
     let mut out = vec![0.0; rows * columns];
@@ -37,7 +38,7 @@ pub fn flattened(image: &[f64], columns: usize) -> Vec<f64> {
     }
     let usual = median(out.iter().map(|v| v.abs())) / MAD_OF_NORMAL;
     let counts: Vec<bool> = out.iter().map(|v| usual == 0.0 || v.abs() < MAX_DEVIATIONS * usual).collect();
-    // Rows and columns have noise in common, which would look like a pattern.
+    // Row and column noise would look like a pattern.
     for corner in corners() {
         centre(&mut out, &counts, || block(corner));
     }
@@ -50,23 +51,23 @@ pub fn flattened(image: &[f64], columns: usize) -> Vec<f64> {
     out
 }
 
-/// Takes the mean of those that count off the values at these places.
+/// Subtracts the mean of the counted values from the values at these indices.
 fn centre<I: Iterator<Item = usize>>(values: &mut [f64], counts: &[bool], places: impl Fn() -> I) {
     let (sum, n) = places().filter(|i| counts[*i]).fold((0.0, 0.0), |(sum, n), i| (sum + values[i], n + 1.0));
     let mean = sum / f64::max(n, 1.0);
     places().for_each(|i| values[i] -= mean);
 }
 
-/// Correlation of two patterns.
+/// Returns the correlation of two patterns.
 pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     product(a, b) / (product(a, a) * product(b, b)).sqrt()
 }
 
-/// Turns an image of so many columns.
+/// Reorientation of an image with this number of columns.
 pub type Turn = fn(&[f64], usize) -> Vec<f64>;
 
-/// Ways in which a frame is turned, beside none.
+/// Possible orientations other than the original.
 pub const TURNS: [(&str, Turn); 3] =
     [("left and right exchanged", left_right), ("upside down", up_down), ("turned by 180 degrees", turned)];
 

@@ -1,7 +1,7 @@
-//! Flats under another field of light: the lamp moved, dust or the lens did, a cap covers a part. Over the mean
-//! of its frame every place has the same light in all flats of one position (Healey and Kondepudy 1994, eq. 22: I(a)
-//! is that of the card, up to a factor). What depends on the level alone, a bend or a full well, goes with the
-//! light of the place, and is taken off.
+//! Flats with another light field: the lamp, dust or the lens moved, or a cap covers a part. Relative to
+//! the mean of its frame, every place has the same light in all flats of one position (Healey and
+//! Kondepudy 1994, eq. 22: I(a) is that of the card, up to a factor). Effects of the level alone, a bend
+//! or a full well, are a function of the local light, and are removed.
 
 use super::campaign::Zero;
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -9,22 +9,23 @@ use crate::dataset::Kind;
 use crate::number::percent;
 use crate::statistics::median::median;
 
-/// Least number of flats of one position, and of those that stay.
+/// Minimum number of flats of one position, and of those that stay.
 const MIN_FLATS: usize = 4;
 const MIN_STAY: usize = 3;
-/// Least change of the light, relative, in the two cells that change most, and in standard errors (named choices:
-/// the field of a lamp that stays changes by some tenths of a per cent).
+/// Minimum relative change of the light in the two cells that change most, and minimum significance in
+/// standard errors (named choices: the field of an undisturbed lamp changes by some tenths of a per
+/// cent).
 const MIN_CHANGE: f64 = 0.03;
 const MIN_SIGMAS: f64 = 8.0;
-/// Share of the flats up to which they are left out: of more nobody knows which field is the right one.
+/// Maximum fraction of the flats that are excluded: with more it is unknown which field is right.
 const MAX_SHARE: f64 = 0.34;
-/// Least signal that tells, of the brightest flat's.
+/// Minimum signal of a usable flat, relative to the brightest.
 const MIN_SIGNAL: f64 = 0.05;
 
-/// The check.
+/// Check for another light field.
 pub struct OtherField;
 
-/// Light of the cells over the mean of the frame, and its standard error.
+/// Light of the cells relative to the mean of the frame, and its standard error.
 struct Field {
     set: usize,
     cells: Vec<f64>,
@@ -62,7 +63,8 @@ impl Check for OtherField {
     }
 }
 
-/// Sets whose field is not that of the others, and the largest change; `None` where all have one field.
+/// Returns sets whose field differs from the others, and the largest change; `None` if all have one
+/// field.
 fn changed(fields: &[Field]) -> Option<(Vec<usize>, f64)> {
     if fields.len() < MIN_FLATS || fields.iter().any(|f| f.cells.len() != fields[0].cells.len()) {
         return None;
@@ -84,10 +86,10 @@ fn changed(fields: &[Field]) -> Option<(Vec<usize>, f64)> {
     (!sets.is_empty()).then_some((sets, largest))
 }
 
-/// Cells of a set over what their mean frame has, without what a parabola of the light makes.
+/// Returns the cells of a set relative to the mean frame, with a parabola of the light removed.
 fn without_level(usual: &[f64], cells: &[f64]) -> Vec<f64> {
     let mean = usual.iter().sum::<f64>() / usual.len().max(1) as f64;
-    // An orthogonal basis: 1, x, x^2.
+    // Orthogonal basis: 1, x, x^2.
     let mut basis: Vec<Vec<f64>> = Vec::new();
     for power in 0..3 {
         let mut v: Vec<f64> = usual.iter().map(|u| (u - mean).powi(power)).collect();
@@ -109,7 +111,7 @@ fn without_level(usual: &[f64], cells: &[f64]) -> Vec<f64> {
     rest
 }
 
-/// Light of the cells of a set over that of its frames, by the frames in use.
+/// Returns the light of the cells of a set relative to that of its frames, from the frames in use.
 fn field(campaign: &Campaign<'_>, zero: &Zero, set: usize) -> Option<Field> {
     let view = &campaign.sets[set];
     let (black, black_std) = cells_of_darks(campaign, view.exposure_s, view.facts.cells_dn.first()?.len());
@@ -134,7 +136,7 @@ fn field(campaign: &Campaign<'_>, zero: &Zero, set: usize) -> Option<Field> {
     Some(Field { set, cells, std: std.hypot(black_std / signal_dn) })
 }
 
-/// Mean of the cells of frames, and its standard error, the same for all.
+/// Returns the mean of the cells of frames, and its standard error, the same for all.
 fn mean_and_std(frames: &[Vec<f64>]) -> (Vec<f64>, f64) {
     let n = frames.len() as f64;
     let cells = frames.first().map_or(0, Vec::len);
@@ -145,7 +147,8 @@ fn mean_and_std(frames: &[Vec<f64>]) -> (Vec<f64>, f64) {
     (means, std)
 }
 
-/// Cells of the darks nearest in exposure, less their mean, DN, and their standard error; none without darks.
+/// Returns the cells of the darks nearest in exposure, minus their mean, DN, and their standard error;
+/// zeros without darks.
 fn cells_of_darks(campaign: &Campaign<'_>, exposure_s: f64, cells: usize) -> (Vec<f64>, f64) {
     let darks = campaign.places(|s| {
         s.kind == Kind::Dark
@@ -165,8 +168,8 @@ fn cells_of_darks(campaign: &Campaign<'_>, exposure_s: f64, cells: usize) -> (Ve
 mod tests {
     use super::*;
 
-    /// A field whose cells fall from 1.2 to 0.8: one of five is bent by the level, another has two cells that are
-    /// covered by 4 %.
+    /// Field whose cells fall from 1.2 to 0.8: one of five flats is bent by the level, another has two
+    /// cells covered by 4 %.
     #[test]
     fn a_bend_is_no_other_field() {
         let plain: Vec<f64> = (0..64).map(|c| 1.2 - 0.4 * f64::from(c) / 63.0).collect();

@@ -1,4 +1,4 @@
-//! A set whose fixed pattern is that of the others mirrored.
+//! Set whose fixed pattern is that of the others mirrored or rotated ("turned").
 
 use super::orientation::{TURNS, correlation, pattern};
 use super::patterns::MIN_PIXELS;
@@ -6,17 +6,18 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::statistics::median::median;
 
-/// Standard deviations by which the mirrored pattern must be there, and the one as it is must not.
+/// Minimum significance of the turned pattern, and maximum of the unturned one, standard deviations.
 const MIN_SIGMAS: f64 = 8.0;
-/// Share of the mirrored correlation that the one as it is may have.
+/// Maximum ratio of the unturned correlation to the turned one.
 const MAX_STRAIGHT_RATIO: f64 = 0.6;
-/// Least that the mirrored pattern is there, over what the patterns of the other sets are.
+/// Minimum correlation of the turned pattern, relative to that among the other sets.
 const MIN_RATIO_TO_OTHERS: f64 = 0.3;
 
-/// Standard deviations of chance by which the darks' pattern tells which flats are turned (a named choice).
+/// Minimum significance with which the dark pattern shows which flats are turned, standard deviations of
+/// chance (a named choice).
 const MIN_SIGMAS_OF_DARKS: f64 = 5.0;
 
-/// The check.
+/// Check for another orientation.
 pub struct OtherOrientation;
 
 impl Check for OtherOrientation {
@@ -34,7 +35,7 @@ impl Check for OtherOrientation {
             if pixels < MIN_PIXELS || own.iter().any(|p| p.len() != pixels) {
                 continue;
             }
-            // Bright flats show the pattern of the response, and count by it.
+            // Bright flats show the response pattern, and are weighted by it.
             let mut sum = vec![0.0; pixels];
             own.iter().for_each(|p| sum.iter_mut().zip(p).for_each(|(s, v)| *s += v));
             let straight_of =
@@ -77,8 +78,9 @@ impl Check for OtherOrientation {
     }
 }
 
-/// Makes the other flats those that are turned where the darks say so, whose pattern flats have too: bright flats
-/// that are turned outweigh more dim ones. Without a word of the darks the fewer are turned.
+/// Exchanges the roles of turned and other flats if the darks say so, whose pattern is in the flats too:
+/// bright turned flats may outweigh more dim ones. Without evidence from the darks the minority is
+/// turned.
 fn as_the_darks(
     campaign: &Campaign<'_>,
     flats: &[usize],
@@ -99,20 +101,20 @@ fn as_the_darks(
             darks.iter_mut().zip(pattern).for_each(|(sum, v)| *sum += v);
         }
     }
-    // By how much more the darks' pattern is in these flats as it is than turned.
+    // Excess of the unturned over the turned dark pattern in these flats.
     let straight = |of: &dyn Fn(usize) -> bool| {
         let one = |p: &Vec<f64>| correlation(p, &darks) - correlation(&turn(p, columns), &darks);
         let all = flats.iter().zip(own).filter(|(i, _)| of(**i)).map(|(_, p)| one(p));
         all.fold(0.0, |sum: f64, v| if v.is_finite() { sum + v } else { sum })
     };
-    // The flats share a pattern of their own, whose chance correlation with the darks' all of them have.
+    // The flats share a pattern, so all share its chance correlation with that of the darks.
     let chance = flats.len() as f64 * (2.0 / darks.len() as f64).sqrt();
     let by_darks = straight(&is_turned) - straight(&|i| !is_turned(i));
     tracing::debug!(
         "the darks' pattern in flats that are turned, less that in the others: {by_darks:.3} +- {chance:.3}"
     );
     let pattern_of = |i: usize| flats.iter().position(|f| *f == i).map(|k| &own[k]);
-    // Flats that would be the turned ones have one pattern as it is.
+    // The flats that would be the turned ones have one pattern without turning.
     let are_alike = rest.iter().filter_map(|i| pattern_of(*i)).collect::<Vec<_>>().windows(2).all(|pair| {
         let as_it_is = correlation(pair[0], pair[1]);
         as_it_is > correlation(&turn(pair[0], columns), pair[1]).abs() / MAX_STRAIGHT_RATIO

@@ -1,22 +1,23 @@
-//! Flats whose fixed pattern is not that of the other flats: turned, shifted by a row, filtered, or of
-//! another camera. A calibration made of both makes frames worse.
+//! Flats whose fixed pattern differs from the other flats: turned, shifted by a row, filtered, or from
+//! another camera. A calibration from both makes frames worse.
 
 use super::patterns::{Noise, moved_by, noise_of_mean, pattern_of, share};
 use super::{Campaign, Check, DataFault, FaultKind};
 
-/// Share of the pattern of the brightest flat from which on a flat has it, and standard deviations to that.
+/// Minimum fraction of the brightest flat's pattern in a flat with the same pattern, and standard
+/// deviations to that.
 const MIN_SHARE: f64 = 0.6;
 const MIN_SIGMAS: f64 = 8.0;
-/// Standard error from which on a flat does not tell.
+/// Maximum standard error of a usable flat.
 const MAX_STD_ERR: f64 = 0.1;
-/// Standard deviations within which parts are those of another black level, and the least error of a part (named
-/// choices).
+/// Maximum distance from the fractions that another black level causes, standard deviations, and minimum
+/// error of a fraction (named choices).
 const MIN_SIGMAS_OF_ZERO: f64 = 4.0;
 const MIN_STD_ERR: f64 = 0.02;
-/// Flats of one position of card and light below which none is another.
+/// Minimum number of flats of one position of card and light among which one can differ.
 const MIN_FLATS: usize = 4;
 
-/// The check.
+/// Check for another pattern.
 pub struct OtherPattern;
 
 impl Check for OtherPattern {
@@ -37,7 +38,7 @@ impl Check for OtherPattern {
     }
 }
 
-/// Flats with another pattern than most, and what it is.
+/// Returns flats with another pattern than most, and a description.
 fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(Vec<usize>, String)> {
     if !campaign.are_of_one_size(flats.iter()) {
         return None;
@@ -75,8 +76,8 @@ fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(V
     }
     let first = pattern(other[other.len() / 2]);
     let how = moved_by(&first, &of_reference, noise, columns, MIN_SIGMAS);
-    // Full wells end the pattern of the brightest, whatever else is there; dimmer flats of a pattern of their own
-    // are of another camera, and the bright ones that share it.
+    // Full wells change the pattern of the brightest; dimmer flats with their own pattern are from
+    // another camera, and so are the bright ones that share it.
     let (dim, bright): (Vec<usize>, Vec<usize>) =
         other.iter().copied().partition(|o| level(*o) < 0.9 * level(reference));
     let shares_it = |o: &usize| {
@@ -100,12 +101,12 @@ fn odd_ones(campaign: &Campaign<'_>, flats: &[usize], zero_dn: f64) -> Option<(V
     Some((odd, text))
 }
 
-/// Returns true if a black level other than the darks' makes the parts: what a flat has of the pattern then falls
-/// towards dim ones as the share of light in its level does. Parts are (level in DN, part of the pattern of the
-/// reference, standard error).
+/// Returns true if a black level other than that of the darks explains the fractions: the pattern in a
+/// flat then decreases towards dim ones with the fraction of light in the level. Entries are (level in
+/// DN, fraction of the reference pattern, standard error).
 fn is_of_another_zero(parts: &[(f64, f64, f64)], reference_dn: f64) -> bool {
     let expected = |level_dn: f64, zero_dn: f64| (1.0 - zero_dn / level_dn) / (1.0 - zero_dn / reference_dn);
-    // The dimmest flat tells it.
+    // The dimmest flat determines the black level.
     let Some(&(level_dn, part, _)) = parts.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else { return false };
     let zero_dn = (1.0 - part) / (1.0 / level_dn - part / reference_dn);
     let others = || parts.iter().filter(|p| p.0 > level_dn && p.0 < reference_dn);
@@ -117,7 +118,7 @@ fn is_of_another_zero(parts: &[(f64, f64, f64)], reference_dn: f64) -> bool {
 mod tests {
     use super::is_of_another_zero;
 
-    /// A black level 180 DN higher in the flats; and two dim flats that were filtered.
+    /// Black level 180 DN higher in the flats; and two filtered dim flats.
     #[test]
     fn another_zero_is_no_other_pattern() {
         let levels = [240.0, 290.0, 380.0, 600.0, 840.0, 1800.0];

@@ -1,30 +1,31 @@
-//! Text that a camera or program burns into its frames: a time stamp, a counter. Its glyphs jump between black and
-//! white from frame to frame, in darks too, close together in few rows. These rows are left out of all frames.
+//! Text burnt into frames by a camera or program: a time stamp, a counter. Its glyphs jump between black
+//! and white from frame to frame, in darks too, close together in few rows. These rows are excluded from
+//! all frames.
 
 use super::SetFacts;
 use crate::dataset::{DataFault, Dataset, FaultKind, Kind, Region};
 use std::collections::HashMap;
 
-/// Difference of successive frames, of full scale, from which on a sample jumps (a named choice: noise of pixels
-/// and flicker of lamps are far below).
+/// Minimum jump of a sample between successive frames, relative to full scale (a named choice: pixel
+/// noise and lamp flicker are far below).
 const JUMP: f64 = 0.2;
-/// Largest share of the pixels that text fills; what jumps elsewhere is light.
+/// Maximum fraction of the pixels covered by text; jumps elsewhere are light.
 const MAX_SHARE: f64 = 0.05;
-/// Least number of sets in which a pixel of a glyph jumps: rays strike a pixel once.
+/// Minimum number of sets in which a glyph pixel jumps: cosmic rays hit a pixel once.
 const MIN_SETS: usize = 2;
-/// Pixels in each direction within which others of the glyph lie, and their least number: pixels that blink lie
-/// apart.
+/// Distance in each direction within which other pixels of the glyph lie, and minimum number of these:
+/// blinking pixels are isolated.
 const REACH: usize = 3;
 const MIN_BESIDE: usize = 3;
-/// Least number of such pixels: half of a digit of 5 x 7.
+/// Minimum number of such pixels: half of a digit of 5 x 7.
 const MIN_PIXELS: usize = 16;
-/// Largest height of the text, of the frame's, and the least share of its rectangle that jumps.
+/// Maximum height of the text relative to the frame, and minimum fraction of its rectangle that jumps.
 const MAX_HEIGHT: f64 = 0.25;
 const MIN_DENSITY: f64 = 0.1;
 /// Rows beside the text that its edges may reach.
 const MARGIN: usize = 2;
 
-/// Pixels that jump from one frame to the next; none where they are more than text has.
+/// Returns pixels that jump between two frames; empty if there are more than text has.
 pub(super) fn jumping(before: &[u16], after: &[u16], full: u16) -> Vec<u32> {
     let least = (JUMP * f64::from(full)) as u16;
     let jumps = |(_, (a, b)): &(usize, (&u16, &u16))| a.abs_diff(**b) > least;
@@ -34,8 +35,8 @@ pub(super) fn jumping(before: &[u16], after: &[u16], full: u16) -> Vec<u32> {
     if found.len() > most { Vec::new() } else { found }
 }
 
-/// The rows without text, and the fault; `None` where there is none, and for statistics whose frames are not read
-/// again.
+/// Returns the dataset without the rows of text, and the fault; `None` without text, and for statistics
+/// whose frames are not read again.
 pub(super) fn without_text(dataset: &Dataset, facts: &[SetFacts]) -> Option<(Dataset, DataFault)> {
     let camera = &dataset.manifest().camera;
     let shape = (camera.height, camera.width);
@@ -60,7 +61,8 @@ pub(super) fn without_text(dataset: &Dataset, facts: &[SetFacts]) -> Option<(Dat
     ))
 }
 
-/// First and last row of text, by the pixels that jump in each set, of frames of (rows, columns).
+/// Returns the first and last row of text from the pixels that jump in each set; frames of (rows,
+/// columns).
 fn rows_of_text<'f>(
     jumping: impl Iterator<Item = &'f [u32]>,
     (height, width): (usize, usize),
@@ -95,7 +97,8 @@ fn rows_of_text<'f>(
 mod tests {
     use super::*;
 
-    /// A block of pixels that jump in two sets is text; the same in one set, and pixels apart, are none.
+    /// A block of pixels that jump in two sets is text; the same block in one set, and isolated pixels,
+    /// are not.
     #[test]
     fn text_is_told_from_pixels_that_blink() {
         let glyph: Vec<u32> = (4..11).flat_map(|y| (20..25).map(move |x| y * 100 + x)).collect();

@@ -1,25 +1,25 @@
-//! Fixed patterns of sets against each other: weighted images, and how much of one pattern is in another.
+//! Comparison of fixed patterns of sets: weighted images, and the fraction of one pattern in another.
 
 use super::Campaign;
 use super::orientation::{TURNS, flattened};
 use super::set_view::SetView;
 use crate::statistics::median::{MAD_OF_NORMAL, median};
 
-/// Pixels below which no pattern tells (a named choice: a correlation of 0.03 is chance there).
+/// Minimum number of pixels of a usable pattern (a named choice: a correlation of 0.03 is chance there).
 pub const MIN_PIXELS: usize = 1024;
-/// Deviations of a pixel from which on it is hot, or dust.
+/// Minimum deviation of a hot or dusty pixel.
 const MAX_DEVIATIONS: f64 = 5.0;
-/// Number of blocks that are left out in turn for the error: four by four.
+/// Number of jackknife blocks: four by four.
 const BLOCKS: usize = 16;
-/// Largest shift of the frame that is tried, pixels.
+/// Maximum shift of the frame that is tried, pixels.
 const MAX_SHIFT: isize = 2;
-/// Share of a pattern up to which, and from which on, it is there whole.
+/// Range of the fraction of a pattern that is present as a whole.
 const WHOLE: std::ops::Range<f64> = 0.7..1.4;
 
-/// A value and its standard error.
+/// Value and standard error.
 pub type WithError = (f64, f64);
 
-/// Noise of a pattern as a variance, DN^2, and the relative error of that.
+/// Noise of a pattern as a variance, DN^2, with its relative error.
 #[derive(Debug, Clone, Copy)]
 pub struct Noise {
     pub dn2: f64,
@@ -27,34 +27,34 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// Noise of darks: that of hot and noisy pixels, which are left out, is in its mean (the error is a named
-    /// choice).
+    /// Returns the noise of darks: hot and noisy pixels, which are excluded, contribute to its mean (the
+    /// error is a named choice).
     pub fn of_darks(dn2: f64) -> Self {
         Self { dn2, rel: 0.3 }
     }
 
-    /// Noise that so many pixels show by their frames in turns: three times the error of normal noise, for noisy
-    /// pixels (a named choice).
+    /// Returns the noise of this number of pixels from frames with alternating sign: three times the
+    /// error of normal noise, because of noisy pixels (a named choice).
     pub fn by_turns(dn2: f64, pixels: usize) -> Self {
         Self { dn2, rel: 3.0 * (2.0 / pixels.max(1) as f64).sqrt() }
     }
 
-    /// Noise of flats: shot noise is that of all pixels (the error is a named choice).
+    /// Returns the noise of flats: shot noise is equal for all pixels (the error is a named choice).
     pub fn of_flats(dn2: f64) -> Self {
         Self { dn2, rel: 0.05 }
     }
 }
 
-/// Weights of images for the straight line through each pixel.
+/// Weights of images for a straight line through each pixel.
 pub struct Line {
-    /// Weights whose sum of images is the value at x = 0.
+    /// Weights for the value at x = 0.
     pub at_zero: Vec<f64>,
-    /// Weights whose sum of images is the slope.
+    /// Weights for the slope.
     pub slope: Vec<f64>,
 }
 
 impl Line {
-    /// The line through images at x, weighted by their noise; `None` where all lie at one x.
+    /// Fits the line through images at x, weighted by their noise; `None` if all have the same x.
     pub fn of(campaign: &Campaign<'_>, sets: &[usize], x: &[f64]) -> Option<Self> {
         let weight: Vec<f64> =
             sets.iter().map(|&i| 1.0 / noise_of_mean(&campaign.sets[i]).max(1e-6)).collect();
@@ -67,7 +67,7 @@ impl Line {
     }
 }
 
-/// Pattern of images added with weights, and its noise, DN^2.
+/// Returns the pattern of a weighted sum of images, and its noise, DN^2.
 pub fn combined(campaign: &Campaign<'_>, sets: &[usize], weights: &[f64]) -> (Vec<f64>, f64) {
     let first = &campaign.sets[sets[0]].facts;
     let mut out = vec![0.0; first.middle_dn.len()];
@@ -80,26 +80,27 @@ pub fn combined(campaign: &Campaign<'_>, sets: &[usize], weights: &[f64]) -> (Ve
     (flattened(&out, first.middle_columns), noise_dn2)
 }
 
-/// Pattern of one set, DN.
+/// Returns the pattern of one set, DN.
 pub fn pattern_of(set: &SetView) -> Vec<f64> {
     let image: Vec<f64> = set.facts.middle_dn.iter().map(|v| f64::from(*v)).collect();
     flattened(&image, set.facts.middle_columns)
 }
 
-/// Variance of the mean of a set's frames, DN^2 (Healey and Kondepudy 1994, eq. 43: sigma_N^2 / s).
+/// Returns the variance of the mean of a set's frames, DN^2 (Healey and Kondepudy 1994, eq. 43:
+/// sigma_N^2 / s).
 pub fn noise_of_mean(set: &SetView) -> f64 {
     set.mean_noise_factor * set.variance_dn2().map_or(0.0, |v| v.0) / set.frames().max(1) as f64
 }
 
-/// Variance of the noise in the mean of a set's frames, DN^2, without hot pixels; 0 of one frame. `in_turns`: sum
-/// of the frames with plus and minus in turns.
+/// Returns the noise variance of the mean of a set's frames, DN^2, without hot pixels; 0 for a single
+/// frame. `in_turns`: sum of the frames with alternating sign.
 pub fn noise_of(mean: &[f32], in_turns: &[f32], frames: usize, columns: usize) -> f64 {
     let n = frames as f64;
     let (plus, minus) = (frames.div_ceil(2) as f64, (frames / 2) as f64);
     if frames < 2 {
         return 0.0;
     }
-    // Means of both turns, and their difference with the noise of the mean of all.
+    // Means of both halves, and their difference with the noise of the overall mean.
     let difference = |(m, t): (&f32, &f32)| {
         let (sum, t) = (n * f64::from(*m), f64::from(*t));
         (0.5 * (sum + t) / plus - 0.5 * (sum - t) / minus) * (plus * minus).sqrt() / n
@@ -115,7 +116,7 @@ pub fn noise_of(mean: &[f32], in_turns: &[f32], frames: usize, columns: usize) -
 /// Sums over the pixels of a block: a b, a^2, b^2, and their number.
 pub type Sums = [f64; 4];
 
-/// Sums of all blocks, without hot pixels and dust.
+/// Returns the sums of all blocks, without hot pixels and dust.
 fn sums_of(a: &[f64], b: &[f64], columns: usize) -> [Sums; BLOCKS] {
     let most = [a, b].map(|image| MAX_DEVIATIONS * median(image.iter().map(|v| v.abs())) / MAD_OF_NORMAL);
     let rows = a.len() / columns;
@@ -131,8 +132,9 @@ fn sums_of(a: &[f64], b: &[f64], columns: usize) -> [Sums; BLOCKS] {
     sums
 }
 
-/// A number made of the sums over all pixels of two images, with the standard error that leaving out one
-/// block of pixels after the other shows (jackknife: Efron and Tibshirani 1993, eq. 11.5); and the sums.
+/// Computes a statistic from the sums over all pixels of two images, with the jackknife standard error
+/// from leaving out one block of pixels at a time (Efron and Tibshirani 1993, eq. 11.5); also returns
+/// the sums.
 pub fn by_blocks(
     a: &[f64],
     b: &[f64],
@@ -156,8 +158,8 @@ pub fn by_blocks(
     Some(((value, (squares * (n - 1.0) / n).sqrt()), all))
 }
 
-/// Regression of an image on a pattern whose noise is known (Fuller 1987, eq. 1.2.3), with its standard
-/// error: 1 where the pattern is in the image whole.
+/// Regresses an image on a pattern with known noise (Fuller 1987, eq. 1.2.3), with standard error: 1 if
+/// the image contains the whole pattern.
 pub fn share(image: &[f64], pattern: &[f64], noise: Noise, columns: usize) -> Option<WithError> {
     let left = |sums: &Sums| sums[2] - sums[3] * noise.dn2;
     let of = |sums: &Sums| (left(sums) > 0.0).then(|| sums[0] / left(sums));
@@ -165,7 +167,7 @@ pub fn share(image: &[f64], pattern: &[f64], noise: Noise, columns: usize) -> Op
     Some((value, std.hypot(value * noise.rel * all[3] * noise.dn2 / left(&all))))
 }
 
-/// Turn or small shift of an image by which a pattern is in it whole, in words; `None` without one.
+/// Describes the turn or small shift of an image that makes the pattern match; `None` without one.
 pub fn moved_by(
     image: &[f64],
     pattern: &[f64],
@@ -187,7 +189,7 @@ pub fn moved_by(
     found.map(|(down, right)| format!("{} rows and {} columns off", down.abs(), right.abs()))
 }
 
-/// An image moved; its edges come in again at the other side.
+/// Returns a shifted image, with wrapped edges.
 fn moved(image: &[f64], columns: usize, down: isize, right: isize) -> Vec<f64> {
     let rows = (image.len() / columns) as isize;
     let from = |i: usize| {
@@ -204,7 +206,7 @@ mod tests {
 
     const COLUMNS: usize = 64;
 
-    /// Normal numbers of a standard deviation, one for each pixel.
+    /// Returns normal random numbers of a standard deviation, one for each pixel.
     fn drawn(seed: u32, what: u32, std: f64) -> Vec<f64> {
         let z = |i: u32| PixelRng::new(17, Stream::Frame, u64::from(what), seed, i).normal();
         (0..(COLUMNS * COLUMNS) as u32).map(|i| std * z(i)).collect()
@@ -214,9 +216,9 @@ mod tests {
         a.iter().zip(b).map(|(a, b)| a + b).collect()
     }
 
-    /// In 300 sensors the regression of a pattern of 1 DN under noise of 1 DN on one under noise of 0.7 DN:
-    /// its mean within four of its errors of the truth, its scatter that of the stated error to a fifth (five
-    /// sigma of the scatter's own); with noise alone, and with the pattern twice as strong.
+    /// In 300 sensors a pattern of 1 DN under noise of 1 DN is regressed on one under noise of 0.7 DN:
+    /// the mean is within four of its errors of the truth, the scatter equals the stated error to a
+    /// fifth (five sigma of the scatter's own); with noise alone, and with twice the pattern.
     #[test]
     fn the_error_of_a_share_is_its_scatter() {
         for truth in [0.0, 1.0, 2.0] {
@@ -239,7 +241,7 @@ mod tests {
         }
     }
 
-    /// A pattern that is shifted or turned is found again, one that is not there is not.
+    /// A shifted or turned pattern is found, an absent one is not.
     #[test]
     fn a_moved_pattern_is_found() {
         let pattern = drawn(1, 0, 1.0);

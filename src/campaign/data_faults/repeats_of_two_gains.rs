@@ -1,9 +1,10 @@
-//! Another gain in one position of card and light: its flats repeat the settings of the others, and their noise
-//! is that of another gain.
+//! Another gain at one position of card and light: its flats repeat the settings of others, with the
+//! noise of another gain.
 //!
-//! The noise of a flat grows with the square of a gain on the codes, in any light (Healey and Kondepudy 1994, eq.
-//! 35: sigma_N^2 = A^2 (I + E_DC) + sigma_C^2), and its level with the gain, or, where the black level was in the
-//! codes, by as much of that on top. Of other light the noise is that of its level.
+//! The noise variance of a flat scales with the square of a gain on the codes, in any light (Healey and
+//! Kondepudy 1994, eq. 35: sigma_N^2 = A^2 (I + E_DC) + sigma_C^2), and its level with the gain, plus
+//! the same factor on the black level if the codes include it. Under other light the noise is that of
+//! its level.
 
 use super::transfer::{above, variance_error};
 use super::{Campaign, Check, DataFault, FaultKind};
@@ -12,18 +13,19 @@ use crate::number::with_error;
 use crate::statistics::median::median;
 use std::collections::BTreeMap;
 
-/// Least change of the gain that is said (a named choice).
+/// Minimum change of the gain that is reported (a named choice).
 const MIN_GAIN_RATIO: f64 = 1.08;
-/// Share of the change by which the level may differ from what the noise says (a named choice).
+/// Maximum difference between level and noise, relative to the change (a named choice).
 const MAX_DIFFERENCE: f64 = 0.15;
-/// Least change of the variance's logarithm, standard errors.
+/// Minimum change of the variance's logarithm, standard errors.
 const MIN_SIGMAS: f64 = 8.0;
-/// Standard errors by which the noise is not that of other light.
+/// Minimum significance that the noise is not that of other light, standard errors.
 const MIN_SIGMAS_OFF_LIGHT: f64 = 5.0;
-/// Least number of other positions that repeat a setting: of two alone nobody knows which is another.
+/// Minimum number of other positions that repeat a setting: of two alone it is unknown which one
+/// differs.
 const MIN_OTHERS: usize = 2;
 
-/// The check.
+/// Check for repeats of two gains.
 pub struct RepeatsOfTwoGains;
 
 impl Check for RepeatsOfTwoGains {
@@ -37,7 +39,7 @@ impl Check for RepeatsOfTwoGains {
             let s = &campaign.sets[i];
             of_setting.entry((s.exposure_s.to_bits(), s.illumination.to_bits())).or_default().push(i);
         }
-        // Changes of the gain by position of card and light; `None` for a flat without one.
+        // Gain changes by position of card and light; `None` for a flat without one.
         let mut gains: BTreeMap<u32, Vec<Option<(f64, f64)>>> = BTreeMap::new();
         for repeats in of_setting.into_values() {
             for &i in &repeats {
@@ -56,11 +58,11 @@ impl Check for RepeatsOfTwoGains {
                 let is_one_gain = most < MIN_GAIN_RATIO.powi(2) * least;
                 let level_dn = median(others.iter().map(|d| above(campaign, &zero, *d)));
                 let ratio_of_levels = above(campaign, &zero, i) / level_dn;
-                // Level and the black level in the codes by the same factor.
+                // Level, with the black level in the codes scaled by the same factor.
                 let with_black = (above(campaign, &zero, i) + zero.dn) / (level_dn + zero.dn);
                 let change = 0.5 * (own_dn2 / others_dn2).ln();
                 let std = 0.5 * 2f64.sqrt() * variance_error(campaign, i, pairs);
-                // The shot noise of other light goes with the level.
+                // The shot noise of other light is proportional to the level.
                 let of_light = dark_dn2 + (others_dn2 - dark_dn2).max(0.0) * ratio_of_levels.max(0.0);
                 let off_light = 0.5 * (own_dn2 / of_light).ln();
                 let is_so = |ratio: f64| (ratio.ln() - change).abs() < MAX_DIFFERENCE * change.abs();

@@ -1,33 +1,33 @@
-//! Means of N frames that were rounded to whole codes: half-way values go to even codes (IEEE 754, as numpy's
-//! `round` and OpenCV do), so that (N + 1) / 2N of the samples of all sets are even where N is even.
+//! Means of N frames rounded to whole codes: half-way values go to even codes (IEEE 754, as in numpy's
+//! `round` and OpenCV), so (N + 1) / 2N of the samples of all sets are even if N is even.
 //!
-//! One mean in N lies half-way between two codes, and one half of those would have gone to odd ones. Codes
-//! themselves are as often even as odd where they spread over several.
+//! One mean in N lies half-way between two codes, and half of those would have gone to odd ones. Codes
+//! themselves are even or odd equally often if they spread over several.
 
 use super::set_view::SetView;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 
-/// Numbers of frames looked for. The lowest bit of a converter may have the trace of larger ones.
+/// Numbers of frames tested. The lowest bit of a converter may look like larger ones.
 const FRAMES: [u32; 5] = [2, 4, 6, 8, 10];
-/// Variance of the samples of a frame from which on codes are as often even as odd, DN^2: of normal samples of
-/// that variance v even codes have 0.5 +- exp(-pi^2 v / 2).
+/// Minimum variance of the samples of a frame at which even and odd codes are equally frequent, DN^2:
+/// for normal samples of variance v even codes have 0.5 +- exp(-pi^2 v / 2).
 const MIN_SPREAD_DN2: f64 = 3.0;
-/// Variance over time from which on a pixel has another code in the next frame, DN^2 (a named choice): frames of
-/// less repeat their pixels.
+/// Minimum temporal variance at which a pixel has another code in the next frame, DN^2 (a named choice):
+/// with less, frames repeat their pixels.
 const MIN_NEW_DN2: f64 = 1.0;
-/// Distance of the codes that occur below which none is missing: multiplied codes have a trace of their own.
+/// Maximum code step without missing codes: multiplied codes have their own excess.
 const MAX_STEP_DN: f64 = 1.1;
-/// Least number of sets that tell.
+/// Minimum number of sets.
 const MIN_SETS: usize = 3;
-/// Largest standard error of the excess, of the excess: one of any size is that of N by chance seven times as
-/// often (named choice).
+/// Maximum relative standard error of the excess (a named choice): at this error an arbitrary excess matches
+/// one of the five numbers in one case of seven.
 const MAX_REL_ERROR: f64 = 0.02;
-/// Standard errors within which the excess is that of N.
+/// Maximum distance of the excess from that of N, standard errors.
 const SIGMAS: f64 = 3.0;
 
-/// The check.
+/// Check for rounded means.
 pub struct RoundedMeans;
 
 impl Check for RoundedMeans {
@@ -60,8 +60,8 @@ impl Check for RoundedMeans {
     }
 }
 
-/// Finds the number of frames in a mean whose trace all sets have. `excess`: share of even codes above a half,
-/// and samples.
+/// Finds the number of averaged frames that explains the excess of all sets. `excess`: fraction of even
+/// codes above a half, and samples.
 fn frames_in_a_mean(excess: &[(f64, f64)]) -> Option<u32> {
     if excess.len() < MIN_SETS {
         return None;
@@ -81,7 +81,8 @@ fn frames_in_a_mean(excess: &[(f64, f64)]) -> Option<u32> {
 mod tests {
     use super::*;
 
-    /// The trace of means is that of their number, in every set; any other share is none.
+    /// An excess is explained by the number of averaged frames only if it is that of every set; any
+    /// other is not.
     #[test]
     fn the_number_of_frames_is_found() {
         let of = |shares: [f64; 3]| frames_in_a_mean(&shares.map(|s| (s - 0.5, 1e6)));

@@ -1,4 +1,4 @@
-//! One set as the checks see it: means and noise of the frames that are left.
+//! Set as seen by the checks: means and noise of the remaining frames.
 
 use super::campaign::Zero;
 use super::facts::SetFacts;
@@ -7,11 +7,11 @@ use super::patterns::MIN_PIXELS;
 use crate::dataset::Kind;
 use crate::statistics::median::median;
 
-/// Standard errors by which the noise of frames contradicts lag.
+/// Minimum significance with which the noise of frames contradicts lag, standard errors.
 pub const MIN_SIGMAS_AGAINST_LAG: f64 = 3.0;
 
-/// Share of the samples at code 0, beyond those of pixels that always are, from which on pixels of little charge
-/// are cut off (a named choice).
+/// Maximum fraction of samples at code 0, beyond those of permanently dark pixels, at which pixels of
+/// little charge are not clipped (a named choice).
 const MAX_ZEROS: f64 = 0.005;
 
 /// Set with the statistics of its frames.
@@ -19,7 +19,7 @@ const MAX_ZEROS: f64 = 0.005;
 pub struct SetView {
     /// Number of the set.
     pub number: u32,
-    /// Dark, flat or other.
+    /// Kind: dark, flat or other.
     pub kind: Kind,
     /// Stated exposure, s.
     pub exposure_s: f64,
@@ -29,22 +29,23 @@ pub struct SetView {
     pub configuration: u32,
     /// Statistics of its frames.
     pub facts: SetFacts,
-    /// Flags of the frames in use, in the order of time.
+    /// Flags of the frames in use, in time order.
     pub kept: Vec<bool>,
-    /// True if the whole set is left out.
+    /// True if the whole set is excluded.
     pub out: bool,
-    /// True if full scale cuts the level off.
+    /// True if the level is clipped at full scale.
     pub clipped: bool,
     /// Number of its dataset among joined ones.
     pub(super) part: usize,
-    /// Part of the level before that the first frame carries, by the share that is usual in the campaign, DN.
+    /// Usual carry-over of the previous level into the first frame, DN.
     pub(super) carried_dn: f64,
-    /// Error of the level by what the other frames carry then, DN: the share of the share, as a filter over time
-    /// leaves; of the first set, which follows something unknown, the difference of its first frame.
+    /// Error of the level from carry-over into later frames, DN: the squared carry-over, as a temporal
+    /// filter leaves it; for the first set, whose predecessor is unknown, the difference of its first
+    /// frame.
     pub carried_error_dn: f64,
-    /// Variance of the noise of its mean over that of as many independent frames.
+    /// Noise variance of the mean relative to that of as many independent frames.
     pub mean_noise_factor: f64,
-    /// Share of the samples at code 0 that all sets have: dead pixels and columns, masks.
+    /// Fraction of samples at code 0 in all sets: dead pixels and columns, masks.
     pub(super) zeros_always: f64,
 }
 
@@ -53,34 +54,34 @@ impl SetView {
         self.kept.iter().enumerate().filter(|(_, kept)| **kept).map(|(i, _)| i)
     }
 
-    /// Number of frames in use.
+    /// Returns the number of frames in use.
     pub fn frames(&self) -> usize {
         self.kept.iter().filter(|k| **k).count()
     }
 
-    /// Means of the frames in use, DN.
+    /// Returns the means of the frames in use, DN.
     pub fn means_dn(&self) -> Vec<f64> {
         self.places().map(|i| self.facts.means_dn[i]).collect()
     }
 
-    /// Means of the frames in use, DN, without what the first carries of the set before.
+    /// Returns the means of the frames in use, DN, with the carry-over into the first removed.
     pub(super) fn settled_dn(&self) -> Vec<f64> {
         self.places().map(|i| self.facts.means_dn[i] - if i == 0 { self.carried_dn } else { 0.0 }).collect()
     }
 
-    /// Median of the frames' means, DN, without what the first carries of the set before.
+    /// Returns the median of the frames' means, DN, with the carry-over into the first removed.
     pub fn level_dn(&self) -> f64 {
         median(self.settled_dn().into_iter())
     }
 
-    /// Median of the means of the frames behind the first, DN; of a single frame its own.
+    /// Returns the median of the means without the first frame, DN; for a single frame its own mean.
     pub fn behind_first_dn(&self) -> f64 {
         let means = self.means_dn();
         median(means.iter().skip(usize::from(means.len() > 1)).copied())
     }
 
-    /// Standard deviation of the means of the frames behind the first, by their steps, DN; 0 of fewer than four
-    /// frames.
+    /// Returns the standard deviation of the means without the first frame, from their differences, DN;
+    /// 0 for fewer than four frames.
     pub fn own_scatter_dn(&self) -> f64 {
         let means = self.means_dn();
         let steps: Vec<f64> = means.windows(2).skip(1).map(|w| (w[1] - w[0]).powi(2)).collect();
@@ -88,18 +89,18 @@ impl SetView {
         if steps.len() > 1 { mean_square.sqrt() } else { 0.0 }
     }
 
-    /// Mean of the last frame in use, DN.
+    /// Returns the mean of the last frame in use, DN.
     pub fn last_dn(&self) -> f64 {
         self.places().last().map_or(f64::NAN, |i| self.facts.means_dn[i])
     }
 
-    /// Number of first frames skipped because of lag; 0 for short sets.
+    /// Returns the number of first frames skipped because of lag; 0 for short sets.
     fn settling(&self) -> usize {
         usize::from(self.kept.len() > 3)
     }
 
-    /// Temporal variance, DN^2, and the number of pairs of successive frames that it is of; `None` without a
-    /// pair.
+    /// Returns the temporal variance, DN^2, and the number of pairs of successive frames behind it;
+    /// `None` without a pair.
     pub fn variance_dn2(&self) -> Option<(f64, f64)> {
         let pair = |i: &usize| *i > self.settling() && self.kept[*i] && self.kept[i - 1];
         let all: Vec<f64> = (0..self.kept.len()).filter(pair).map(|i| self.facts.successive_dn2[i]).collect();
@@ -107,8 +108,8 @@ impl SetView {
         (n > 0.0).then(|| (all.iter().sum::<f64>() / n, n))
     }
 
-    /// Variance of successive frames over that of frames two apart: 1 for independent ones. `None` with fewer
-    /// than three frames.
+    /// Returns the variance of successive frames relative to that of frames two apart: 1 for independent
+    /// ones. `None` with fewer than three frames.
     pub fn dependence(&self) -> Option<f64> {
         let third =
             |i: &usize| *i > 1 + self.settling() && self.kept[*i] && self.kept[i - 1] && self.kept[i - 2];
@@ -121,15 +122,15 @@ impl SetView {
         (far > 0.0).then(|| near / far)
     }
 
-    /// Returns true if the noise contradicts lag of this share from a dimmer set before.
+    /// Returns true if the noise contradicts lag of this fraction from a dimmer previous set.
     pub fn lacks_lag(&self, share: f64, dimmer: &Self) -> bool {
         self.against_lag(share, dimmer).is_some_and(|(off, std)| off > MIN_SIGMAS_AGAINST_LAG * std)
     }
 
-    /// Dependence of successive frames less that of lag of this share from a dimmer set before, and its standard
-    /// deviation; 0 of lag. A share f of each frame's charge that is read with the next correlates successive
-    /// frames by f (1 - f) of the charge's variance (image-lag, shape 0), and the variance of a difference is
-    /// 2 sigma^2 (1 - r).
+    /// Returns the dependence of successive frames minus that of lag of this fraction from a dimmer
+    /// previous set, and its standard deviation; 0 for lag. A fraction f of each frame's charge that is
+    /// read with the next correlates successive frames by f (1 - f) of the charge's variance (image-lag,
+    /// shape 0), and the variance of a difference is 2 sigma^2 (1 - r).
     pub fn against_lag(&self, share: f64, dimmer: &Self) -> Option<(f64, f64)> {
         let noise = self.variance_dn2().zip(dimmer.variance_dn2());
         let (dependence, ((noise_dn2, _), (dark_dn2, _))) = self.dependence().zip(noise)?;
@@ -137,18 +138,18 @@ impl SetView {
         Some((dependence - (1.0 - of_lag), self.dependence_std()))
     }
 
-    /// Standard deviation of [`Self::dependence`] for independent frames: of one triple the two variances
-    /// differ by 3/2 of their expectation for each pixel, and triples that overlap tell as much as
-    /// others.
+    /// Returns the standard deviation of [`Self::dependence`] for independent frames: for one triple the
+    /// two variances differ by 3/2 of their expectation for each pixel, and overlapping triples are as
+    /// informative as others.
     fn dependence_std(&self) -> f64 {
         let triples = self.frames().saturating_sub(self.settling() + 2) as f64;
         1.5 / (self.facts.pixels * triples).max(1.0).sqrt()
     }
 
-    /// Returns true if frames differ by more the longer the time between them: the level of lines or parts
-    /// wanders. After a filter over time with the correlation r the variance of the difference is 2 sigma^2
-    /// (1 - r^k) for frames k apart: beyond that of successive frames, far ones have at most 1 / (1 - r)
-    /// times what frames two apart have, twice as much for r up to a half.
+    /// Returns true if frames differ more with growing distance in time: the level of lines or parts
+    /// wanders. After a temporal filter with the correlation r the variance of the difference is 2
+    /// sigma^2 (1 - r^k) for frames k apart: beyond that of successive frames, distant ones have at most
+    /// 1 / (1 - r) times what frames two apart have, twice as much for r up to a half.
     pub fn wanders(&self) -> bool {
         const MAX_OF_A_FILTER: f64 = 2.5;
         let Some(((near, _), dependence)) = self.variance_dn2().zip(self.dependence()) else { return false };
@@ -157,14 +158,14 @@ impl SetView {
             && self.facts.ends_dn2 - near > MAX_OF_A_FILTER * (second - near).max(0.0)
     }
 
-    /// Share of the samples at code 0 in no long run; 0 where it is not known.
+    /// Returns the fraction of samples at code 0 outside long runs; 0 if unknown.
     pub(super) fn zeros(&self) -> f64 {
         let zeros: f64 = self.facts.zeros.iter().map(Zeros::single).sum();
         let samples = self.facts.pixels * self.facts.zeros.len() as f64;
         if samples > 0.0 { zeros / samples } else { 0.0 }
     }
 
-    /// Returns true if code 0 cuts off the noise, or the pixels of least charge.
+    /// Returns true if code 0 clips the noise, or the pixels of least charge.
     pub fn is_cut_off(&self) -> bool {
         self.zeros() - self.zeros_always > MAX_ZEROS
             || self.variance_dn2().is_some_and(|(var, _)| self.level_dn() < 4.0 * var.sqrt() + 0.5)
@@ -178,13 +179,13 @@ impl SetView {
         most - least < (20.0 * zero.scatter_dn).max(0.05 * (self.level_dn() - zero.dn).abs())
     }
 
-    /// Stated exposure times light.
+    /// Returns stated exposure times light.
     pub fn light(&self) -> f64 {
         self.exposure_s * self.illumination
     }
 
-    /// Returns true if level, noise and fixed pattern are known. The pattern is that of all frames: none may
-    /// be left out.
+    /// Returns true if level, noise and fixed pattern are known. The pattern is that of all frames, so
+    /// none may be excluded.
     pub fn has_pattern(&self) -> bool {
         let whole = self.kept.iter().all(|kept| *kept);
         whole && !self.clipped && self.variance_dn2().is_some() && self.facts.middle_dn.len() >= MIN_PIXELS
@@ -201,7 +202,7 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Flats of unit noise over some pixels, of which each frame hands this share on to the next; and a dark
+    /// Returns flats of unit noise in which each frame passes this fraction on to the next; and a dark
     /// without noise.
     fn sets(frames: usize, pixels: usize, share: f64, seed: u32) -> [SetView; 2] {
         let drawn = |f: usize, p: usize| PixelRng::new(7, Stream::Effect, f as u64, seed, p as u32).normal();
@@ -236,9 +237,9 @@ mod tests {
         [view(1.0), view(0.0)]
     }
 
-    /// The variance of successive differences over that of differences two frames apart is 1 for
+    /// The variance of successive differences relative to that of differences two frames apart is 1 for
     /// independent frames, and scatters as stated, within four standard errors over 200 sets of 4 to 20
-    /// frames. Lag of 5 % is not contradicted in 99 of 100 sets, and its absence is seen.
+    /// frames. Lag of 5 % is not contradicted in 99 of 100 sets, and its absence is detected.
     #[test]
     fn noise_contradicts_lag() {
         for frames in [4, 6, 12, 20] {

@@ -1,4 +1,4 @@
-//! A flat whose level is not that of its stated exposure and light.
+//! Flat whose level does not fit its stated exposure and light.
 
 use super::law::{Law, Point};
 use super::set_view::SetView;
@@ -9,45 +9,46 @@ use crate::dataset::Kind;
 use crate::number::{percent, six_digits};
 use crate::statistics::median::median;
 
-/// Usual scatter of a set's light: what lamps that nobody touches have (a named choice).
+/// Usual relative scatter of a set's light for undisturbed lamps (a named choice).
 const LAMP_SCATTER: f64 = 0.002;
-/// Least deviation that is said.
+/// Minimum relative deviation that is reported.
 const MIN_RELATIVE_OFFSET: f64 = 0.01;
-/// Usual scatter and least deviation where all other flats lie on a straight line (named choices): a camera and a
-/// lamp as steady as that leave no other reason.
+/// Usual scatter and minimum deviation if all other flats lie on a straight line (named choices): so
+/// steady a camera and lamp leave no other explanation.
 const STEADY: (f64, f64) = (0.0003, 0.003);
-/// Largest scatter about that line, over the usual one: of flats that scatter by more, chance leaves a few on a
-/// line by themselves, twice in 1000 sweeps (a named choice).
+/// Maximum scatter about that line, relative to the usual one: of flats with more scatter a few lie on a
+/// line by chance, twice in 1000 sweeps (a named choice).
 const MAX_SCATTER_OF_STEADY: f64 = 3.0;
-/// Sets below which no law can be told from a stray.
+/// Minimum number of sets at which a law can be distinguished from a stray.
 pub const MIN_FLATS: usize = 5;
-/// Least factor between the stated light and that of the level at which a label is of another order (a named
-/// choice): so far off it bends every law that is fitted to it too.
+/// Minimum factor between the stated light and that of the level for a label of another order (a named
+/// choice): so large an error also bends every law that is fitted to it.
 const MIN_FACTOR_OF_ANOTHER_ORDER: f64 = 3.0;
-/// Largest factor by which the other flats are then off the proportion to their light, by an offset or a bend
-/// (a named choice).
+/// Maximum factor by which the other flats then deviate from proportionality to their light, by an
+/// offset or a bend (a named choice).
 const MAX_FACTOR_OF_OTHERS: f64 = 1.3;
-/// Least number of these others, and the largest share of all flats that labels of another order have.
+/// Minimum number of these others, and maximum fraction of flats with labels of another order.
 const MIN_OTHERS: usize = 3;
 const MAX_SHARE_OF_ANOTHER_ORDER: f64 = 0.25;
-/// Least signal over that of the brightest flat: an error of the zero puts dimmer flats off by a factor.
+/// Minimum signal relative to the brightest flat: an error of the zero level changes dimmer flats by a
+/// factor.
 const MIN_REL_SIGNAL: f64 = 0.02;
-/// Share of the sets that may be strays.
+/// Maximum fraction of the sets that are strays.
 const MAX_STRAY_SHARE: f64 = 0.2;
-/// Flats up to which exchanged labels are looked for pair by pair.
+/// Maximum number of flats for a pairwise search for exchanged labels.
 const MAX_FLATS_EXCHANGED: usize = 16;
-/// Largest scatter about the law after the exchange, relative to that as stated (a named choice).
+/// Maximum scatter about the law after the exchange, relative to that as stated (a named choice).
 const MAX_SCATTER_EXCHANGED: f64 = 0.3;
-/// Standard deviations by which both points are off the law as stated (a named choice).
+/// Minimum deviation of both points from the law as stated, standard deviations (a named choice).
 const MIN_SIGMAS_EXCHANGED: f64 = 6.0;
-/// Standard deviations by which sets of equal settings differ whose light does, and the least difference that is
-/// said.
+/// Minimum difference of sets of equal settings under different light, standard deviations, and minimum
+/// difference that is reported.
 const REPEATS: (f64, f64) = (6.0, 0.008);
-/// Deviation of the noise from that of the level up to which the brightest set, where it has less than stated, is
-/// a wrong label: a camera that bends or saturates loses noise with the signal.
+/// Maximum deviation of the noise from that of the level at which a low level of the brightest set is a
+/// wrong label: a camera that bends or saturates loses noise with the signal.
 const MAX_NOISE_OFFSET: f64 = 0.1;
 
-/// The check.
+/// Check for wrong setting labels.
 pub struct SettingLabel;
 
 /// Exposure and light of a set, relative to the extremes.
@@ -63,26 +64,28 @@ struct Factors {
 /// Standard deviations of the priors (named choices): level, exponent of the response about 1, its change, offset
 /// at the lowest light, compression at the highest (two terms), exposure offset, drift of the lamp.
 const PRIORS: [f64; 8] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05, 0.006];
-/// Standard deviations of the priors of a straight line: its ends are free, the middle is not (named choices).
+/// Standard deviations of the priors for a straight line: its ends are free, the middle is not (named
+/// choices).
 const STRAIGHT: [f64; 8] = [1e3, 0.002, 0.001, 0.03, 0.002, 0.002, 0.05, 0.002];
-/// Place among them of the logarithm of exposure times light.
+/// Index of the logarithm of exposure times light.
 const LN_OF_LIGHT: usize = 1;
-/// Place among them of the offset at the lowest light, and its prior where darks of one exposure leave their
-/// charge in the zero of flats of others.
+/// Index of the offset at the lowest light, and its prior if darks of one exposure leave their charge in
+/// the zero level of flats of others.
 const OFFSET: (usize, f64) = (3, 1.0);
-/// Place among them of the drift of the lamp, and its prior for the comparison of repeats with the other flats:
-/// lamps drift by some percents while they warm up (a named choice).
+/// Index of the lamp drift, and its prior for the comparison of repeats with the other flats: lamps
+/// drift by some percents while they warm up (a named choice).
 const DRIFT: (usize, f64) = (7, 0.02);
-/// Ratio from which on exposures differ.
+/// Minimum ratio of exposures that differ.
 const MIN_EXPOSURE_RATIO: f64 = 1.5;
 
 impl Factors {
-    /// Logarithm of exposure times light over that of the middle: what a level in proportion to it has.
+    /// Returns the logarithm of exposure times light relative to the middle, as for a proportional
+    /// level.
     fn ln_of(&self, light: f64) -> f64 {
         light.ln() - self.middle
     }
 
-    /// `when`: from -0.5 at the first set to 0.5 at the last.
+    /// Returns the factors of the law. `when`: from -0.5 at the first set to 0.5 at the last.
     fn of(&self, exposure_s: f64, light: f64, when: f64) -> Vec<f64> {
         let x = exposure_s * light;
         let u = self.ln_of(x);
@@ -92,9 +95,9 @@ impl Factors {
     }
 }
 
-/// Returns true where no darks tell the dark current, and that of the darks is not that of the flats: one
-/// exposure, longer than the shortest of the flats, or another than theirs where the light is changed. A
-/// sweep of exposures takes the rest for light.
+/// Returns true if the darks do not give the dark current, and their charge is not that of the flats:
+/// they have a single exposure, longer than the shortest flat, or another than the flats if the light is
+/// varied. In an exposure sweep the remaining charge looks like light.
 fn charge_is_unknown(
     campaign: &Campaign<'_>,
     (shortest_s, longest_s): (f64, f64),
@@ -139,7 +142,7 @@ impl Check for SettingLabel {
         let usual_scatter = campaign.scatter(&zero);
         let point = |i: usize| {
             let set = &campaign.sets[i];
-            // The ripple of a lamp moves the means of short exposures, and not those of others.
+            // Lamp ripple moves the means of short exposures, but not those of others.
             let of_frame = usual_scatter.of_frame_dn(set).max(set.own_scatter_dn());
             let scatter = of_frame / (set.frames() as f64).sqrt();
             let scatter = scatter.hypot(set.carried_error_dn);
@@ -189,8 +192,8 @@ impl Check for SettingLabel {
                     continue;
                 }
                 let noise = transfer.as_ref().and_then(|t| t.off(campaign, i, above(i)));
-                // A label of another order says nothing of the place in the range. A camera may be full from here
-                // on where all brighter flats are off as well.
+                // A label of another order gives no position in the range. The camera may be saturated
+                // from here on if all brighter flats deviate as well.
                 let is_first_of_bent = || {
                     let mut brighter = lit.iter().filter(|k| light(**k) > light(i) * (1.0 + 1e-9));
                     brighter.all(|k| strays.contains(k) && point(*k).value < law.at(&point(*k).factors))
@@ -237,7 +240,7 @@ impl Check for SettingLabel {
             let charge_is_unknown = priors[OFFSET.0] > PRIORS[OFFSET.0];
             let one = steady_but_one(&points, charge_is_unknown, &|k| light(lit[k]));
             found = one.map_or(Vec::new(), |(law, k)| judged(&law, &[lit[k]], STEADY.1));
-            // Four flats are on a line by chance: of five the noise has to say the same.
+            // Four flats may lie on a line by chance: with five flats the noise has to agree.
             found.retain(|f| points.len() > MIN_FLATS || f.1 == FaultKind::OtherSettings);
         }
         let mut unequal = Vec::new();
@@ -247,8 +250,8 @@ impl Check for SettingLabel {
             if known.len() != sets.len() || found.iter().any(|f| sets.contains(&f.0)) {
                 continue;
             }
-            // Without the repeats, whose difference would count as scatter, a sweep in order does not tell a
-            // drift from a bend.
+            // Repeats are excluded, as their difference would count as scatter; a sweep in order does
+            // not separate drift from a bend.
             let others: Vec<Point> =
                 (0..lit.len()).filter(|k| !known.contains(k)).map(|k| points[k].clone()).collect();
             let few = if others.len() < MIN_FLATS { 0 } else { few.min(others.len() / MIN_FLATS) };
@@ -265,7 +268,8 @@ impl Check for SettingLabel {
                     campaign.named(&sets),
                     percent(most)
                 );
-                // Other flats tell the light of one pair; a lamp is often dim or bright in the first set.
+                // Other flats determine the light of one pair; a lamp is often dim or bright in the
+                // first set.
                 let is_of_warm_up = sets.iter().any(|s| Some(*s) == first_lit);
                 let left_out = unequal.is_empty()
                     && of_others.is_some()
@@ -283,8 +287,8 @@ impl Check for SettingLabel {
     }
 }
 
-/// Label of a set whose level belongs to so many times its exposure or light, in words; `None` of no finite
-/// number.
+/// Describes the label of a set whose level belongs to this multiple of its exposure or light; `None` if
+/// the number is not finite.
 fn label(campaign: &Campaign<'_>, factors: &Factors, set: usize, times: f64) -> Option<String> {
     let set = &campaign.sets[set];
     let belongs = |stated: f64| (six_digits(stated), six_digits(stated * times));
@@ -307,8 +311,8 @@ fn label(campaign: &Campaign<'_>, factors: &Factors, set: usize, times: f64) -> 
     })
 }
 
-/// Parts flats whose stated light is of another order than their level from the others, which all are near the
-/// proportion to their light.
+/// Separates flats whose stated light is of another order than their level from the others, which are
+/// all near proportionality to their light.
 fn of_another_order(
     lit: &[usize],
     light: &dyn Fn(usize) -> f64,
@@ -330,7 +334,7 @@ fn of_another_order(
     (Vec::new(), lit.to_vec())
 }
 
-/// Point off a straight line that all others lie on, with others on both sides of it, and the line.
+/// Returns a point off a straight line through all others, with others on both sides, and the line.
 fn steady_but_one(
     points: &[Point],
     charge_is_unknown: bool,
@@ -360,8 +364,8 @@ fn steady_but_one(
     is_inside.then_some((law, one))
 }
 
-/// Finds two points with exchanged labels: exchanged back, all points follow one law, and as stated they
-/// do not, nor without single strays. Among many points the law itself takes out both.
+/// Finds two points with exchanged labels: after the exchange all points follow one law, but not as
+/// stated, nor without single strays. Among many points the law itself removes both.
 fn exchanged(points: &[Point], priors: &[f64], law: &Law) -> Option<(usize, usize)> {
     if points.len() > MAX_FLATS_EXCHANGED {
         return None;
@@ -386,7 +390,7 @@ fn exchanged(points: &[Point], priors: &[f64], law: &Law) -> Option<(usize, usiz
     (right.scale() < MAX_SCATTER_EXCHANGED * stated && is_off(i) && is_off(j)).then_some((i, j))
 }
 
-/// Error of a level of codes that stand so far apart that noise does not fill the gaps, DN.
+/// Returns the error of a level if the code step is too large for noise to fill the gaps, DN.
 fn coarse(campaign: &Campaign<'_>, set: &SetView) -> f64 {
     if campaign.is_rounded(set) {
         return campaign.code_step_dn / 12f64.sqrt();
@@ -395,7 +399,7 @@ fn coarse(campaign: &Campaign<'_>, set: &SetView) -> f64 {
     if set.facts.step_dn > 1.5 || noise < 0.3 { set.facts.step_dn / 12f64.sqrt() } else { 0.0 }
 }
 
-/// Factor on exposure or light at which the law has this logarithm of the level.
+/// Returns the factor on exposure or light at which the law has this logarithm of the level.
 fn belongs(law: &Law, factors: &Factors, (exposure_s, light, when): (f64, f64, f64), value: f64) -> f64 {
     let at = |u: f64| {
         let (e, l) =
@@ -415,8 +419,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Points of a sweep with a bend of up to 15 %, an offset, and a lamp that scatters by this; two of them
-    /// with exchanged labels if `exchange`.
+    /// Returns points of a sweep with a bend of up to 15 %, an offset, and this lamp scatter; two of
+    /// them with exchanged labels if `exchange`.
     fn points(seed: u32, scatter: f64, exchange: bool) -> (Vec<Point>, (usize, usize)) {
         let mut random = PixelRng::new(23, Stream::Effect, 0, seed, 0);
         let n = 5 + (random.uniform() * 12.0) as usize;
@@ -443,9 +447,9 @@ mod tests {
         (all, (a.max(b), a.min(b)))
     }
 
-    /// No point is off the line in 2000 sweeps of steady and of unsteady lamps, straight or with a bend of up
-    /// to 15 %; one that is off by twenty times the scatter, 0.6 %, is found in 49 of 50 of 500 straight
-    /// sweeps of at least eight, and no other.
+    /// No point is off the line in 2000 sweeps of steady and of unsteady lamps, straight or with a bend
+    /// of up to 15 %; one that is off by twenty times the scatter, 0.6 %, is found in 49 of 50 of 500
+    /// straight sweeps of at least eight, and no other.
     #[test]
     fn one_point_off_a_straight_line_is_found() {
         let of = |seed: u32, scatter: f64, bend: f64, off: f64| {
@@ -489,7 +493,7 @@ mod tests {
             let (points, pair) = points(seed, scatter, exchange);
             let few = ((MAX_STRAY_SHARE * points.len() as f64) as usize).clamp(1, 4);
             let law = Law::fit(&points, &PRIORS, few).unwrap();
-            // The law alone takes both out where a fifth of the points may be strays.
+            // The law alone removes both if a fifth of the points may be strays.
             let both = law.out == [pair.1, pair.0];
             (exchanged(&points, &PRIORS, &law).or(both.then_some(pair)), pair)
         };

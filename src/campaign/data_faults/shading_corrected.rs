@@ -1,6 +1,7 @@
-//! Shading that the camera corrects: a digital gain that differs by place makes the flats even, and multiplies
-//! the noise of each place with the same factor. At one level the variance is then another one in the corners,
-//! which no raw frame has (variance and mean of all pixels lie on one line: Healey and Kondepudy 1994, eq. 35).
+//! Shading corrected by the camera: a position-dependent digital gain makes the flats even, and
+//! multiplies the noise of each place by the same factor. At one level the variance then differs in the
+//! corners, unlike in any raw frame (variance and mean of all pixels lie on one line: Healey and
+//! Kondepudy 1994, eq. 35).
 
 use super::facts::ENOUGH;
 use super::set_view::SetView;
@@ -8,23 +9,23 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::six_digits;
 use crate::statistics::median::{MAD_OF_NORMAL, median};
 
-/// Variance of a flat over that of the quietest set from which on light makes its noise.
+/// Minimum ratio of the variance of a flat with mostly photon noise to that of the quietest set.
 const LIT: f64 = 4.0;
-/// Least number of flats that tell.
+/// Minimum number of usable flats.
 const MIN_FLATS: usize = 3;
-/// Least ratio of the largest to the smallest variance at one level (a named choice: parts of a sensor that are
-/// read through amplifiers of their own differ by a few per cent), and its least significance.
+/// Minimum ratio of the largest to the smallest variance at one level (a named choice: parts of a sensor
+/// with separate amplifiers differ by a few per cent), and its minimum significance.
 const MIN_RATIO: f64 = 1.12;
 const MIN_SIGMAS: f64 = 8.0;
 
-/// Level of a cell that tells, of that of its frame.
+/// Minimum level of a usable cell relative to its frame.
 const MIN_LEVEL: f64 = 0.3;
-/// Largest deviation of the cells' middle ratio from 1 (a named choice).
+/// Maximum deviation of the median ratio of the cells from 1 (a named choice).
 const MAX_OFF: f64 = 0.1;
-/// One in so many cells at either end of the range does not count.
+/// One in this number of cells is ignored at either end of the range.
 const OUTER: usize = 12;
 
-/// The check.
+/// Check for shading correction.
 pub struct ShadingCorrected;
 
 impl Check for ShadingCorrected {
@@ -42,7 +43,8 @@ impl Check for ShadingCorrected {
     }
 }
 
-/// Least and largest variance of a cell over that of its level elsewhere, where they differ beyond doubt.
+/// Returns the minimum and maximum variance of a cell relative to that of its level elsewhere, if they
+/// differ significantly.
 fn range(campaign: &Campaign<'_>) -> Option<(f64, f64)> {
     let zero = campaign.zero().filter(|_| campaign.is_of_one_part())?;
     let variance = |i: usize| campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0);
@@ -55,7 +57,7 @@ fn range(campaign: &Campaign<'_>) -> Option<(f64, f64)> {
         return None;
     }
     flats.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
-    // The variance of a level over it, between the flats.
+    // Ratio of variance to level, interpolated between the flats.
     let curve: Vec<(f64, f64)> = flats.iter().map(|&i| (level(i), variance(i) / level(i))).collect();
     let expected = |level_dn: f64| {
         let above = curve.partition_point(|p| p.0 < level_dn);
@@ -70,12 +72,13 @@ fn range(campaign: &Campaign<'_>) -> Option<(f64, f64)> {
             let mean_dn = means.sum::<f64>() / facts.cells_dn.len().max(1) as f64;
             let level_dn = mean_dn - zero.at(campaign.sets[i].exposure_s);
             let own = facts.cells_dn2.get(cell)? / expected(level_dn)?;
-            // Noise that light does not make decides where little light is.
+            // At little light the noise is not from light.
             (level_dn > MIN_LEVEL * level(i) && own > 0.0).then_some(own)
         };
         flats.iter().filter_map(ratio).collect()
     };
-    // A variance of so many pixels, by pairs of frames, and the median of those of the flats.
+    // Variance of a variance from this number of pixels and pairs of frames, and the median over the
+    // flats.
     let square = |&i: &usize| {
         let set = &campaign.sets[i];
         let pairs = (set.frames() / 2).max(1) as f64;
@@ -92,14 +95,14 @@ fn range(campaign: &Campaign<'_>) -> Option<(f64, f64)> {
             (middle, 1.25 * scatter.max(of_noise.sqrt()) / (all.len() as f64).sqrt())
         })
         .collect();
-    // Light that falls on a part of the field only leaves few cells, and bands of light are in the noise of cells
-    // alone: both quantities are the same where the middle is.
+    // Partial illumination of the field leaves few cells, and light bands affect only the noise of
+    // cells: both quantities agree in the middle.
     let middle = median(ratios.iter().map(|r| r.0));
     if 2 * ratios.len() < cells || (middle - 1.0).abs() > MAX_OFF {
         return None;
     }
     let std = median(ratios.iter().map(|r| r.1));
-    // Dust and defect pixels stand in single cells.
+    // Dust and defect pixels affect single cells.
     let mut sorted: Vec<f64> = ratios.iter().map(|r| r.0).collect();
     sorted.sort_by(f64::total_cmp);
     let outer = sorted.len() / OUTER;

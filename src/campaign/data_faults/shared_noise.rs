@@ -1,5 +1,5 @@
-//! Noise that neighbours or successive frames share in all flats: variance that is measured pixel by pixel,
-//! or about the mean of the frames, lacks it, and the gain comes out too low.
+//! Noise shared by neighbours or successive frames in all flats: the variance measured per pixel, or
+//! about the mean of the frames, lacks it, and the gain is underestimated.
 
 use super::Campaign;
 use super::campaign::median_line;
@@ -8,19 +8,20 @@ use super::set_view::SetView;
 use crate::dataset::{Between, SharedNoise};
 use crate::statistics::median::{ERROR_OVER_MEAN, median};
 
-/// Share of the noise from which on it is said: by as much the gain is too low (a named choice: twice the per
-/// cent that EMVA 1288 asks for); of frames, where a lamp that settles and a little lag look alike.
+/// Minimum shared fraction of the noise that is reported: it equals the gain error (a named choice:
+/// twice the per cent that EMVA 1288 asks for). For frames, a settling lamp and a little lag look alike.
 const LEAST: f64 = 0.02;
 const LEAST_OF_FRAMES: f64 = 0.05;
-/// Least significance, standard deviations.
+/// Minimum significance, standard deviations.
 const SIGMAS: f64 = 5.0;
-/// Variance of a flat over that of the quietest set from which on the noise of reading is a tenth of it at
-/// most (a named choice): what neighbours share of that may be more or less. Where no flat has as much, those
-/// that have the second, and the share is less certain by what the noise of reading may have of it.
+/// Minimum ratio of the variance of a flat to that of the quietest set at which the read noise is at
+/// most a tenth of it (a named choice): the fraction of that shared by neighbours may differ. If no flat
+/// reaches it, the second limit applies, and the possible contribution of the read noise is added to the
+/// error.
 const LIT: [f64; 2] = [10.0, 3.0];
-/// Most sets that are looked at: every pair of them is compared.
+/// Maximum number of sets examined: every pair of them is compared.
 const MOST_SETS: usize = 64;
-/// The larger one of both, in flats in which light makes the noise; `None` where there is nothing.
+/// Returns the larger of both, from flats dominated by photon noise; `None` if there is nothing.
 pub(super) fn shared_noise(campaign: &Campaign<'_>) -> Option<SharedNoise> {
     let variance = |i: usize| campaign.sets[i].variance_dn2().map(|v| v.0);
     let sets = campaign.places(|s| !s.clipped).into_iter();
@@ -41,7 +42,7 @@ pub(super) fn shared_noise(campaign: &Campaign<'_>) -> Option<SharedNoise> {
     };
     let less_certain =
         |s: SharedNoise| SharedNoise { std_err: s.std_err.hypot(0.5 * of_reading * s.rel), ..s };
-    // Few frames tell what the next pixels share, and not all that neighbours do.
+    // Few frames determine the covariance of the nearest neighbours, but not of all.
     let told = |found: Option<SharedNoise>| found.map(less_certain).filter(is_told);
     let of_all = told(of_neighbours(campaign, &flats, |n| n.share, NEIGHBOURS_VAR));
     let of_next = || told(of_neighbours(campaign, &flats, |n| n.of_next, NEXT_VAR));
@@ -49,8 +50,8 @@ pub(super) fn shared_noise(campaign: &Campaign<'_>) -> Option<SharedNoise> {
     all.into_iter().flatten().max_by(|a, b| a.rel.abs().total_cmp(&b.rel.abs()))
 }
 
-/// Noise that neighbours share at no light: what grows with the level (the brighter-fatter effect) bends the
-/// photon transfer, and leaves the gain at its dark end.
+/// Returns the noise shared by neighbours at zero light: a part that grows with the level (the
+/// brighter-fatter effect) bends the photon transfer, but leaves the gain at its dark end.
 fn of_neighbours(
     campaign: &Campaign<'_>,
     flats: &[usize],
@@ -58,7 +59,7 @@ fn of_neighbours(
     variance: f64,
 ) -> Option<SharedNoise> {
     let zero = campaign.zero();
-    // Pairs behind the first two frames of sets of four and more, and of frames that are left.
+    // Pairs after the first two frames of sets of four and more, and only of frames in use.
     let of_kept = |set: &&SetView| {
         let firsts = if set.kept.len() < 4 { 0 } else { 2 };
         set.facts.neighbours.pixels > 0.0 && set.kept[firsts..].iter().all(|kept| *kept)
@@ -70,8 +71,8 @@ fn of_neighbours(
     let std_err = ERROR_OVER_MEAN * (variance / pixels).sqrt();
     let middle = median(shared.iter().map(|p| p.1));
     let at_dark = median_line(&shared)?.0;
-    // Error of the intercept of a line over that of the mean of its points (Bevington and Robinson 2003, section
-    // 6.4): flats of about one level tell no intercept.
+    // Error of the intercept of a line relative to that of the mean of its points (Bevington and
+    // Robinson 2003, section 6.4): flats of about one level do not determine an intercept.
     let n = shared.len() as f64;
     let mean = shared.iter().map(|p| p.0).sum::<f64>() / n;
     let square = shared.iter().map(|p| (p.0 - mean).powi(2)).sum::<f64>() / n;
@@ -81,7 +82,7 @@ fn of_neighbours(
     Some(SharedNoise { between: Between::Neighbours, rel, std_err })
 }
 
-/// Noise that successive frames share.
+/// Returns the noise shared by successive frames.
 fn of_frames(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise> {
     let own = |&i: &usize| {
         let set = &campaign.sets[i];
@@ -91,7 +92,7 @@ fn of_frames(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise> {
     };
     let alike: Vec<(f64, f64)> = flats.iter().filter_map(own).collect();
     let rel = median(alike.iter().map(|a| a.0));
-    // The error of a ratio of variances of successive frames and of those two apart.
+    // Error of a ratio of variances of successive frames and of those two apart.
     let samples: f64 = alike.iter().map(|a| a.1).sum();
     let std_err = ERROR_OVER_MEAN * (4.0 / samples).sqrt();
     (rel > 0.0).then_some(SharedNoise { between: Between::Frames, rel, std_err })

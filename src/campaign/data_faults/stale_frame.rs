@@ -1,56 +1,58 @@
-//! The first frame of a set was exposed under the settings of the set before: all of them, or its exposure or
-//! light alone.
+//! Stale first frame of a set, exposed under the settings of the previous set: all of them, or only its
+//! exposure or light.
 
 use super::campaign::{Scatter, Zero};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::number::{percent, six_digits};
 use crate::statistics::median::{MAD_OF_NORMAL, median};
 
-/// Standard deviations of a frame's mean by which two levels must differ to be told apart.
+/// Minimum difference of two distinguishable levels, standard deviations of a frame's mean.
 const MIN_SEPARATION_SIGMAS: f64 = 12.0;
-/// Least difference of the levels, DN.
+/// Minimum difference of the levels, DN.
 const MIN_SEPARATION_DN: f64 = 1.0;
-/// Standard deviations within which the frame has the level of the set before.
+/// Maximum distance of the frame from the previous level, standard deviations.
 const MAX_MATCH_SIGMAS: f64 = 8.0;
-/// Share of the difference within which it does at least: what lag leaves of a level is far less than all of it.
+/// Maximum distance relative to the difference, as an alternative: lag leaves far less than the whole
+/// level.
 const MIN_MATCH_SHARE: f64 = 0.03;
 
-/// Share of the difference within which a level counts as that of the old exposure or light, which only the ratio
-/// of the labels tells.
+/// Maximum distance, relative to the difference, from a level of the old exposure or light that is only
+/// derived from the ratio of the labels.
 const MAX_LABEL_MISMATCH: f64 = 0.12;
 
-/// Relative difference from which on an old level is another one.
+/// Minimum relative difference of an old level from the new one.
 const MIN_REL_APART: f64 = 0.05;
-/// Share of the sets that could show it from which on all are taken for stale.
+/// Minimum fraction of stale sets, among those that could show it, at which all are assumed stale.
 const MIN_STALE_SHARE: f64 = 0.7;
-/// Largest share of a level that lag or a filter carries over to the next frame.
+/// Maximum fraction of a level that lag or a filter carries over to the next frame.
 const MAX_CARRIED_SHARE: f64 = 0.5;
 
-/// Least share of the settings before in a frame that was exposed under both (a named choice): image lag whose
-/// electrons stay by chance, which means and noise do not tell from that, is smaller.
+/// Minimum fraction of the previous settings in a frame exposed under both (a named choice): image lag
+/// with electrons that stay at random, which means and noise cannot distinguish from it, is smaller.
 const MIN_SHARE_OF_BOTH: f64 = 0.25;
-/// Largest relative difference of the shares of such frames.
+/// Maximum relative difference of the fractions of such frames.
 const MAX_REL_OF_SHARES: f64 = 0.2;
-/// Least number of changes of level, and of flats, that tell such frames from others and from lag.
+/// Minimum number of level changes, and of flats, that distinguishes such frames from others and from
+/// lag.
 const MIN_CHANGES_OF_BOTH: usize = 3;
 const MIN_FLATS_OF_BOTH: usize = 3;
-/// Largest number of stale frames of a set: pipelines of cameras and drivers hold two or three.
+/// Maximum number of stale frames of a set: pipelines of cameras and drivers hold two or three.
 const MAX_STALE_FRAMES: usize = 3;
-/// Least number of frames that are left of a set with several stale ones.
+/// Minimum number of remaining frames of a set with several stale ones.
 const MIN_FRAMES_LEFT: usize = 3;
 
-/// The check.
+/// Check for stale frames.
 pub struct StaleFrame;
 
-/// First frame of a set with the levels it may have.
+/// First frame of a set with its possible levels.
 struct First {
     set: usize,
-    /// Levels that it would have under the settings of the set before, DN: measured ones with true.
+    /// Levels under the previous settings, DN, with true for measured ones.
     old_dn: Vec<(f64, bool)>,
     /// Mean of this frame, and median of the other frames, DN.
     own_dn: f64,
     others_dn: f64,
-    /// True for a copy of the last frame of the set before, code for code.
+    /// True for an exact copy of the last frame of the previous set.
     copy: bool,
 }
 
@@ -69,12 +71,12 @@ impl First {
         };
         let mut old_dn: Vec<(f64, bool)> = Vec::new();
         let direct = Some(&campaign.sets[set - 1]).filter(|b| !b.out);
-        // The frame behind a stale one is no copy of the set before.
+        // A frame after a stale one is not a copy of the previous set.
         let copy = own.kept.first() == Some(&true)
             && direct.is_some_and(|b| b.facts.digests.last() == own.facts.digests.first());
         old_dn.extend(direct.and_then(|b| b.means_dn().last().copied()).map(|m| (m, true)));
-        // Under the old exposure the light may be the new one already, or the other way round: a flat among darks
-        // follows the flat before.
+        // With the old exposure the light may already be the new one, or vice versa: a flat among darks
+        // follows the previous flat.
         for other in [direct, before(Some(own.is_lit()))].into_iter().flatten() {
             let signal = others_dn - zero.at(own.exposure_s);
             if !own.is_lit() && other.is_lit() {
@@ -94,7 +96,7 @@ impl First {
                 old_dn.extend(other.means_dn().last().map(|m| (*m, true)));
             }
         }
-        // A strobe that missed the frame, or one of the dark before.
+        // A strobe that missed the frame, or a stale frame of the dark before.
         if own.is_lit() {
             old_dn.push((zero.at(own.exposure_s), false));
         }
@@ -103,12 +105,13 @@ impl First {
         Some(Self { set, old_dn, own_dn: *own_dn, others_dn, copy })
     }
 
-    /// Returns true for a level that is not that of the other frames.
+    /// Returns true for a level that differs from that of the other frames.
     fn is_far(&self, old_dn: f64) -> bool {
         (old_dn - self.others_dn).abs() > MIN_REL_APART * old_dn.max(self.others_dn)
     }
 
-    /// Deviation from the nearest old level, DN; `None` where all are near the other frames' level.
+    /// Returns the deviation from the nearest old level, DN; `None` if all are near the other frames'
+    /// level.
     fn off_dn(&self) -> Option<f64> {
         let far = self.old_dn.iter().filter(|o| self.is_far(o.0)).map(|o| (self.own_dn - o.0).abs());
         far.min_by(f64::total_cmp)
@@ -127,8 +130,8 @@ impl First {
     }
 }
 
-/// Sets whose first frame in use is stale, and the share of the settings before in it if it was exposed under
-/// both.
+/// Sets whose first frame in use is stale, and the fraction of the previous settings in it if it was
+/// exposed under both.
 #[derive(Default)]
 struct Stale {
     sets: Vec<usize>,
@@ -137,12 +140,12 @@ struct Stale {
 
 /// Finds stale frames among the first ones in use of all sets.
 fn stale_firsts(campaign: &Campaign<'_>) -> Stale {
-    // Half of the mean of a pair may be a stale frame.
+    // The mean of a pair may contain a stale frame.
     let Some(zero) = campaign.zero_behind_firsts() else { return Stale::default() };
     let firsts: Vec<First> = (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
     let usual_scatter = campaign.scatter(&zero);
-    // The usual scatter of frames is too large if all first frames are stale: their distance from the old
-    // levels is taken then.
+    // The usual scatter is overestimated if all first frames are stale: then their distance from the old
+    // levels is used.
     let level = |s: usize| (campaign.sets[s].behind_first_dn() - zero.dn).abs().max(1.0);
     let scale = |f: &First| level(f.set).max(level(f.set - 1));
     let meets = median(firsts.iter().filter_map(|f| Some(f.off_dn()? / scale(f)))) / MAD_OF_NORMAL;
@@ -155,7 +158,7 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Stale {
         let least = (noise(f.set) + noise(f.set - 1)).sqrt().max(0.03);
         usual.min((meets * scale(f)).max(least))
     };
-    // Lag and filters may carry over as much as an old exposure would have made.
+    // Lag and filters may carry over as much as an old exposure would cause.
     let share = campaign.carried(&usual_scatter).filter(|s| s.abs() < MAX_CARRIED_SHARE);
     let carried = |f: &First| {
         let change = campaign.sets[f.set - 1].level_dn() - f.others_dn;
@@ -175,7 +178,7 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Stale {
     }
     let stale: Vec<&First> =
         firsts.iter().filter(|f| f.copy || (f.is_stale(scatter(f)) && !carried(f))).collect();
-    // A copy of a frame of equal settings is a copy and no more.
+    // A copy of a frame with equal settings is a duplicate, nothing more.
     let told = |f: &&&First| {
         !f.copy
             || (f
@@ -188,7 +191,8 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Stale {
     let mut sets: Vec<usize> = stale.iter().map(|f| f.set).chain(both.sets).collect();
     sets.sort_unstable();
     sets.dedup();
-    // Sets too near the level before cannot show a stale frame: they have one if nearly all others do.
+    // Sets too near the previous level cannot show a stale frame: they are assumed stale if nearly all
+    // others are.
     let shows = |f: &&First| {
         let is_apart = |old: f64| {
             (old - f.others_dn).abs() > MIN_SEPARATION_DN.max(MIN_SEPARATION_SIGMAS * scatter(f))
@@ -206,8 +210,8 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Stale {
     Stale { sets, share: both.share }
 }
 
-/// Finds first frames that were exposed under the settings of both sets: all have the same share of the change, as
-/// lag makes it, and the noise contradicts lag that takes the same share of every charge.
+/// Finds first frames exposed under the settings of both sets: all contain the same fraction of the
+/// change, as with lag, but the noise contradicts lag that takes the same fraction of every charge.
 fn of_both(campaign: &Campaign<'_>, scatter: &Scatter) -> Stale {
     let firsts = campaign.shares_of_firsts(scatter);
     let share = median(firsts.iter().map(|f| f.1));

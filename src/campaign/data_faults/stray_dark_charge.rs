@@ -1,8 +1,8 @@
-//! Darks that have more charge than the line of the other darks leaves for their exposure: light fell on them,
-//! the sensor was warmer, or they were exposed longer than they say.
+//! Darks with more charge than the line of the other darks predicts: light leaked in, the sensor was
+//! warmer, or the exposure was longer than stated.
 //!
-//! Charge raises the level by A E and the variance by A^2 E (Healey and Kondepudy 1994, eq. 35): a black level
-//! that moved, and another gain, do not (`dark_settings`).
+//! Charge raises the level by A E and the variance by A^2 E (Healey and Kondepudy 1994, eq. 35), unlike
+//! a moved black level or another gain (`dark_settings`).
 
 use super::campaign::median_line;
 use super::law::{Law, Point};
@@ -12,24 +12,24 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::with_error;
 
-/// Least number of other darks, each of an exposure of its own (a named choice): a sensor that warms up bends the
-/// line of all.
+/// Minimum number of other darks, each with its own exposure (a named choice): a warming sensor bends
+/// the line of all.
 const MIN_OTHERS: usize = 3;
-/// Least deviation over the largest of the others, least deviation in DN, and over the growth of the others where
-/// the longest exposure is the stray (named choices).
+/// Minimum deviation relative to the largest of the others, minimum deviation in DN, and relative to the
+/// growth of the others if the longest exposure is the stray (named choices).
 const MIN_OVER_OTHERS: f64 = 20.0;
 const MIN_DN: f64 = 1.0;
 const MIN_OVER_GROWTH: f64 = 2.0;
-/// Largest number of strays, and their largest exposure over the others' longest where there are several (named
-/// choices): dark charge may grow by more than in proportion.
+/// Maximum number of strays, and with several of them their maximum exposure relative to the longest of
+/// the others (named choices): dark charge may grow more than proportionally.
 const MOST_STRAYS: usize = 2;
 const MAX_REACH: f64 = 3.0;
 /// Usual scatter of a dark set's level, DN.
 const SET_SCATTER_DN: f64 = 0.1;
-/// Ratio of the noise to that of the charge, at least and at most (a named choice).
+/// Minimum and maximum ratio of the noise to that of the charge (a named choice).
 const AS_CHARGE: std::ops::Range<f64> = 0.6..1.6;
 
-/// The check.
+/// Check for stray dark charge.
 pub struct StrayDarkCharge;
 
 impl Check for StrayDarkCharge {
@@ -55,16 +55,16 @@ impl Check for StrayDarkCharge {
             Point { factors: vec![1.0, exposure_s(d) / longest_s], value: campaign.sets[d].level_dn(), std }
         };
         let points: Vec<Point> = darks.iter().map(point).collect();
-        // Two halves do not tell which is right.
+        // Two halves do not show which one is right.
         let most = (darks.len() - MIN_OTHERS).min((darks.len() - 1) / 2).min(MOST_STRAYS);
         let Some(law) = Law::fit(&points, &[1e5, 1e5], most) else { return Vec::new() };
         let off = |k: &usize| points[*k].value - law.at(&points[*k].factors);
         let (strays, others): (Vec<usize>, Vec<usize>) = (0..darks.len()).partition(|k| law.out.contains(k));
         let scatter_of_others = others.iter().map(|k| off(k).abs()).fold(scatter_dn, f64::max);
         let level = |k: usize| points[k].value;
-        // The longest exposure is extrapolated: dark current may grow by more than in proportion.
+        // The longest exposure is extrapolated: dark current may grow more than proportionally.
         let growth_dn = others.last().map_or(0.0, |&k| level(k) - level(others[0])).abs();
-        // Three others are on a line by chance where several are strays.
+        // With several strays, the three others may lie on a line by chance.
         let is_extrapolated = strays.contains(&(darks.len() - 1)) || strays.len() > 1;
         let of_growth = if is_extrapolated { MIN_OVER_GROWTH * growth_dn } else { 0.0 };
         let reach_s = MAX_REACH * others.last().map_or(0.0, |&k| exposure_s(darks[k]));
@@ -74,7 +74,7 @@ impl Check for StrayDarkCharge {
         let least_dn = (MIN_OVER_OTHERS * scatter_of_others).max(MIN_DN).max(of_growth);
         let is_charged = |k: &usize| {
             let more_dn2 = var_dn2(darks[*k]) - dn2 - dn2_per_s * exposure_s(darks[*k]);
-            // Lag of a flat before it is no slip.
+            // Lag of a preceding flat is not a fault.
             let follows_light = darks[*k] > 0 && campaign.sets[darks[*k] - 1].is_lit();
             let is_near = strays.len() == 1 || exposure_s(darks[*k]) <= reach_s;
             is_near

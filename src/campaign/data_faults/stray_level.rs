@@ -1,53 +1,54 @@
-//! Why the level of one set is not that of its setting. Its noise tells: a wrong label leaves the noise of its
-//! level, another black level that of the stated light, another gain scales both; codes of fewer bits are a half,
-//! a quarter and so on of what they would be, black level and all.
+//! Cause of a set's level that does not fit its setting, from the noise: a wrong label has the noise of
+//! its level, another black level that of the stated light, another gain scales both; codes of fewer
+//! bits are 1/2, 1/4 and so on of the expected ones, black level included.
 
 use super::campaign::{Campaign, Zero};
 use super::transfer::Transfer;
 use crate::number::six_digits;
 use crate::statistics::quantisation::QUANTISATION_DN2;
 
-/// Square of standard deviations by which another reason must fit the noise better than a wrong label does, which
-/// is the usual slip; and standard deviations within which it must fit it.
+/// Minimum improvement of chi^2 of the noise by another cause over a wrong label, which is the usual
+/// fault; and maximum deviation of the noise from that cause, standard deviations.
 const BY_USUAL_ERROR: (f64, f64) = (6.0, 6.0);
-/// Limits of these by the scatter of the other sets about their curve alone (named choices).
+/// The corresponding limits if the error is the scatter of the other sets about their curve alone (named
+/// choices).
 const BY_OWN_SCATTER: (f64, f64) = (12.0, 3.0);
-/// Standard deviations of the usual error by which the noise excludes another black level.
+/// Minimum significance with which the noise excludes another black level, in usual errors.
 const MIN_SIGMAS_AGAINST: f64 = 2.5;
-/// Bits that a set may have less than the others.
+/// Range of bits that a set may lack.
 const FEWER_BITS: std::ops::RangeInclusive<u32> = 1..=8;
-/// Largest deviation from the level of fewer bits, relative to that of the setting, and in codes: cut off, these
-/// lose up to one.
+/// Maximum deviation from the level of fewer bits, relative to that of the setting, and in codes:
+/// truncation loses up to one.
 const SAME_LEVEL: (f64, f64) = (0.01, 1.0);
-/// Largest deviation from the variance of fewer bits, relative (a named choice).
+/// Maximum relative deviation from the variance of fewer bits (a named choice).
 const SAME_NOISE: f64 = 0.3;
 
-/// Set off the level of its setting.
+/// Set whose level does not fit its setting.
 #[derive(Debug, Clone, Copy)]
 pub struct Stray {
-    /// Place of the set.
+    /// Index of the set.
     pub set: usize,
     /// Level above black, DN.
     pub above_dn: f64,
-    /// Logarithm of the ratio of that to the level of the setting.
+    /// Logarithm of the ratio of the level to that of the setting.
     pub off: f64,
 }
 
-/// Why.
+/// Cause of a stray level.
 pub enum Reason {
-    /// Other settings of the camera, in words.
+    /// Other settings of the camera, with a description.
     Other(String),
-    /// A wrong label; or another black level, in words, where the noise does not exclude that.
+    /// Wrong label; or another black level, with a description, if the noise does not exclude it.
     Label(Option<String>),
 }
 
 impl Stray {
-    /// Level of the setting above black, DN.
+    /// Returns the level of the setting above black, DN.
     pub fn expected_dn(&self) -> f64 {
         self.above_dn * (-self.off).exp()
     }
 
-    /// Reason for which the noise speaks.
+    /// Returns the cause indicated by the noise.
     pub fn reason(&self, campaign: &Campaign<'_>, zero: &Zero, transfer: Option<&Transfer>) -> Reason {
         let Some(transfer) = transfer else { return Reason::Label(None) };
         let level = format!(
@@ -79,7 +80,7 @@ impl Stray {
         let z = |o: f64, std: f64| (o / std).abs();
         for ((limits, own), stated) in [BY_USUAL_ERROR, BY_OWN_SCATTER].into_iter().zip(own).zip(stated) {
             let (label, black) = (z(own.0, own.1), z(stated.0, stated.1));
-            // Noise of another gain grows with its square.
+            // The noise of another gain grows with its square.
             let gain = z(stated.0 - 2.0 * self.off, stated.1);
             let better = |z: f64| z < limits.1 && label * label - z * z > limits.0;
             if better(black) && black <= gain {
@@ -97,7 +98,8 @@ impl Stray {
         Reason::Label((!excluded).then_some(black_level))
     }
 
-    /// Bits that the set lacks: its codes, and its noise, are those of its setting shifted.
+    /// Returns the number of missing bits, if codes and noise of the set are those of its setting
+    /// shifted.
     fn fewer_bits(&self, campaign: &Campaign<'_>, zero: &Zero, transfer: &Transfer) -> Option<u32> {
         let set = &campaign.sets[self.set];
         let (variance_dn2, _) = set.variance_dn2()?;

@@ -1,24 +1,24 @@
-//! Codes stretched to the whole range for each set or frame by itself, as "Enhance contrast" and "auto" of an
-//! export do: the distance of the codes differs from set to set, and levels and noise have no common unit.
+//! Codes stretched to the full range for each set or frame separately, as "Enhance contrast" and "auto"
+//! of an export do: the code step differs between sets, and levels and noise have no common unit.
 
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 
-/// Least ratio of the distances of the codes that are not one.
+/// Minimum ratio of different code steps.
 const MIN_RATIO: f64 = 1.02;
-/// Least number of sets with distances of their own that reach full scale.
+/// Minimum number of sets with their own code step that reach full scale.
 const MIN_SETS: usize = 3;
 
-/// The check.
+/// Check for stretched contrast.
 pub struct StretchedContrast;
 
 impl Check for StretchedContrast {
     fn find(&self, campaign: &mut Campaign<'_>) -> Vec<DataFault> {
         let all = campaign.places(|s| matches!(s.kind, Kind::Dark | Kind::Flat));
-        // A set of frames that were each stretched shows no step, and its first frame does.
+        // A set of individually stretched frames shows no step, but its first frame does.
         let step = |i: usize| campaign.sets[i].facts.code_step_dn.max(campaign.sets[i].facts.frame_step_dn);
-        // A converter whose steps grow with the level reaches full scale in the brightest sets only.
+        // With level-dependent converter steps only the brightest sets reach full scale.
         let is_full = |i: &usize| step(*i) > 1.0 && campaign.sets[*i].facts.clipped > 0.0;
         let mut own: Vec<usize> = all.iter().copied().filter(is_full).collect();
         own.sort_by(|a, b| step(*a).total_cmp(&step(*b)));

@@ -1,21 +1,23 @@
-//! Noise reduction of long exposures: from some exposure on the camera exposes a dark frame behind each frame and
-//! takes it off. Such frames have the noise of two darks, no dark charge and no fixed pattern of it.
+//! Long-exposure noise reduction: above some exposure the camera captures a dark after each frame and
+//! subtracts it. Such frames have the noise of two darks, but no dark charge and none of its fixed
+//! pattern.
 
 use super::patterns::{Noise, noise_of_mean, pattern_of, share};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 
-/// Variance of a difference of two darks over that of one, and the relative deviation from it (a named choice).
+/// Variance ratio of a difference of two darks to one, and maximum relative deviation from it (a named
+/// choice).
 const OF_TWO: f64 = 2.0;
 const MAX_DEVIATION: f64 = 0.2;
-/// Share of the shorter darks' pattern, two standard errors included, up to which a longer one has lost it (a
-/// named choice).
+/// Maximum fraction of the shorter darks' pattern, including two standard errors, in a longer dark that
+/// has lost it (a named choice).
 const MAX_SHARE: f64 = 0.6;
-/// Least number of flats that stay.
+/// Minimum number of flats that stay.
 const MIN_FLATS: usize = 3;
 
-/// The check.
+/// Check for subtracted darks.
 pub struct SubtractedDarks;
 
 impl Check for SubtractedDarks {
@@ -52,8 +54,8 @@ impl Check for SubtractedDarks {
     }
 }
 
-/// Ratio of the variance of a dark to that of one frame at its exposure by the shorter darks; `None` unless it is
-/// the difference of two frames.
+/// Returns the ratio of the variance of a dark to that of one frame at its exposure, predicted by the
+/// shorter darks; `None` unless it is the difference of two frames.
 fn of_two(campaign: &Campaign<'_>, shorter: &[usize], longer: usize) -> Option<f64> {
     let set = |i: usize| &campaign.sets[i];
     let own_dn2 = set(longer).variance_dn2()?.0;
@@ -63,7 +65,7 @@ fn of_two(campaign: &Campaign<'_>, shorter: &[usize], longer: usize) -> Option<f
         .collect::<Option<_>>()?;
     let last = variances[variances.len() - 1];
     let first = variances[0];
-    // Noise of the charge grows with the exposure.
+    // The noise of the charge grows with exposure.
     let growth = if last.0 > first.0 { ((last.1 - first.1) / (last.0 - first.0)).max(0.0) } else { 0.0 };
     let ratio = own_dn2 / (last.1 + growth * (set(longer).exposure_s - last.0));
     let nearest = *shorter.last()?;

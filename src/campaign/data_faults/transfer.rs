@@ -5,26 +5,26 @@ use super::campaign::{Campaign, Zero};
 use super::law::{Law, Point};
 use crate::dataset::Kind;
 
-/// Relative error of a variance beyond that of independent pixels: hot pixels, shading and what noise has in
-/// common (a named choice).
+/// Relative error of a variance beyond that of independent pixels: hot pixels, shading and shared noise
+/// (a named choice).
 pub const MODEL_ERROR: f64 = 0.02;
 /// Minimum number of sets for a curve.
 const MIN_SETS: usize = 4;
-/// Variance below which rounding decides, DN^2.
+/// Maximum variance at which rounding dominates, DN^2.
 pub const MIN_VARIANCE_DN2: f64 = 0.35;
 /// Minimum ratio of the expected variance to that limit for a set to count as quiet.
 const MIN_QUIET_RATIO: f64 = 3.0;
-/// Largest bend of the curve at the highest level, relative.
+/// Maximum relative bend of the curve at the highest level.
 const MAX_BEND: f64 = 0.15;
 
-/// Variance over the level.
+/// Photon-transfer curve: variance over the level.
 pub struct Transfer {
     law: Law,
     most: f64,
     model_error: f64,
-    /// Sets that were taken out of it as strays.
+    /// Sets removed from the fit as strays.
     pub strays: Vec<usize>,
-    /// Sets that have so little noise that rounding decides it, at levels that have much.
+    /// Sets with so little noise that rounding dominates it, at levels that have much.
     pub quiet: Vec<usize>,
 }
 
@@ -34,8 +34,8 @@ impl Transfer {
         Self::with_model_error(campaign, zero, without, MODEL_ERROR)
     }
 
-    /// Fits the curve as [`Self::of`] does, with the errors of independent pixels alone, and the scatter of the
-    /// sets where that is larger: what lies beyond the range is told more closely.
+    /// Fits the curve as [`Self::of`] does, with the errors of independent pixels alone, and the scatter
+    /// of the sets if that is larger: predictions beyond the range are tighter.
     pub fn by_pixels(campaign: &Campaign<'_>, zero: &Zero, without: &[usize]) -> Option<Self> {
         Self::with_model_error(campaign, zero, without, 0.0)
     }
@@ -70,7 +70,7 @@ impl Transfer {
         if points.len() < MIN_SETS {
             return None;
         }
-        // Relative weights need the curve itself: begin with the median line.
+        // Relative weights need the curve itself: start with the median line.
         let slope =
             crate::statistics::median::median(points.iter().filter(|p| p.0 > 0.1 * most).map(|p| p.1 / p.0));
         let dark = points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
@@ -110,12 +110,12 @@ impl Transfer {
         Some(Self { law, most, model_error, strays, quiet })
     }
 
-    /// Slope at the lowest levels: the system gain, DN/e.
+    /// Returns the slope at the lowest levels: the system gain, DN/e.
     pub fn slope(&self) -> f64 {
         self.slope_with_error().0
     }
 
-    /// Slope at the lowest levels and its standard error, DN/e.
+    /// Returns the slope at the lowest levels and its standard error, DN/e.
     pub fn slope_with_error(&self) -> (f64, f64) {
         let [low, high] = [factors(0.0), factors(0.1)];
         let own: Vec<f64> =
@@ -124,20 +124,23 @@ impl Transfer {
         (value, self.law.std(&Point { factors: own, value, std: 0.0 }))
     }
 
-    /// Variance expected at a level above the darks, DN^2, and its standard error: below the lowest level too.
+    /// Returns the variance expected at a level above the darks, DN^2, and its standard error: also
+    /// below the lowest level.
     pub fn expected_dn2(&self, above_dn: f64) -> (f64, f64) {
         let own = factors(above_dn / self.most).to_vec();
         let value = self.law.at(&own);
         (value, self.law.std(&Point { factors: own, value, std: 0.0 }))
     }
 
-    /// Logarithm of the ratio of a set's variance to that expected at a level, and its standard error.
+    /// Returns the logarithm of the ratio of a set's variance to that expected at a level, and its
+    /// standard error.
     pub fn off(&self, campaign: &Campaign<'_>, set: usize, above_dn: f64) -> Option<(f64, f64)> {
         let (off, point, _) = self.ratio(campaign, set, above_dn)?;
         Some((off, self.law.std(&point)))
     }
 
-    /// Logarithm of that ratio with its error by the scatter of the other sets about the curve alone.
+    /// Returns the logarithm of that ratio with its error from the scatter of the other sets about the
+    /// curve alone.
     pub fn off_by_scatter(&self, campaign: &Campaign<'_>, set: usize, above_dn: f64) -> Option<(f64, f64)> {
         let (off, point, of_pixels) = self.ratio(campaign, set, above_dn)?;
         Some((off, self.law.own_std(&point).max(of_pixels)))
@@ -157,18 +160,18 @@ fn factors(level: f64) -> [f64; 3] {
     [1.0, level, level * level]
 }
 
-/// Level of a set above the darks, DN.
+/// Returns the level of a set above the darks, DN.
 pub fn above(campaign: &Campaign<'_>, zero: &Zero, set: usize) -> f64 {
-    // The charge of darks has shot noise too.
+    // The charge of darks also has shot noise, so the level at zero exposure is used.
     campaign.sets[set].level_dn() - zero.dn
 }
 
-/// Relative error of a variance of so many pairs: successive pairs share frames.
+/// Returns the relative error of a variance from this number of pairs: successive pairs share frames.
 pub fn variance_error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
     pixel_error(campaign, set, pairs).hypot(MODEL_ERROR)
 }
 
-/// Relative error of a variance by independent pixels alone.
+/// Returns the relative error of a variance from independent pixels alone.
 pub fn pixel_error(campaign: &Campaign<'_>, set: usize, pairs: f64) -> f64 {
     (3.0 / (campaign.sets[set].facts.pixels.max(1.0) * pairs)).sqrt()
 }

@@ -1,12 +1,13 @@
-//! Two frames of a set, or sets of equal settings, under unequal light.
+//! Unequal light on two frames of a set, or on sets of equal settings.
 
 use super::{Campaign, Check, DataFault, FaultKind, setting_label};
 use crate::number::percent;
 use crate::statistics::median::median;
 
-/// Deviations over their usual scatter from which on light is unequal.
+/// Minimum deviation of unequal light, relative to the usual scatter.
 const MIN_SIGMAS: f64 = 8.0;
-/// Least difference in light, over the signal: lamps that are left alone stay within it (a named choice).
+/// Minimum difference in light relative to the signal: undisturbed lamps stay within it (a named
+/// choice).
 const MIN_RELATIVE_DIFFERENCE: f64 = 0.005;
 /// Minimum deviation of each of several pairs that differ alike, in standard deviations (a named choice, as the
 /// next four: by chance at most three of 20000 campaigns of 18 pairs under a lamp of normal flicker meet them
@@ -20,10 +21,11 @@ const MIN_RATIO_TO_OTHERS: f64 = 1.5;
 const MAX_SIGMAS_FROM_MEAN: f64 = 2.0;
 /// Maximum mean of the other pairs, in its standard deviations.
 const MAX_SIGMAS_OF_OTHERS: f64 = 4.0;
-/// Share of the sets up to which unequal pairs are slips: more are what the lamp does.
+/// Maximum fraction of the sets with unequal pairs that are isolated faults: more are a property of the
+/// lamp.
 const MAX_SHARE_OF_PAIRS: f64 = 0.5;
 
-/// The check.
+/// Check for unequal light.
 pub struct UnequalLight;
 
 impl Check for UnequalLight {
@@ -39,7 +41,7 @@ impl Check for UnequalLight {
             let before = i.checked_sub(1).map(|b| &campaign.sets[b]).filter(|b| b.frames() > 0);
             let carried = before.map_or(0.0, |b| share * (b.last_dn() - means[1]));
             let plain = means[1] - means[0];
-            // Nobody knows what came before the first set, and the rest is known to a fifth.
+            // The level before the first set is unknown, and the remainder is known to a fifth.
             if before.is_none() && share.abs() > 3e-4 || (plain + carried).abs() < 0.2 * carried.abs() {
                 return 0.0;
             }
@@ -67,7 +69,7 @@ impl Check for UnequalLight {
             );
             found.push((unequal, text, true));
         }
-        // Equal settings. With a law of the levels the stray one among them is told.
+        // Equal settings. With a law of the levels the stray one among them is identified.
         let lit = campaign.places(|s| s.is_lit() && !s.clipped).len();
         let repeats = if lit < setting_label::MIN_FLATS { campaign.repeats() } else { Vec::new() };
         let spread = |sets: &Vec<usize>| {
@@ -103,9 +105,9 @@ impl Check for UnequalLight {
     }
 }
 
-/// Finds pairs whose light differs by the same share in the same direction, each by too little to be said alone.
-/// `apart`: relative difference of a pair; `sigma`: its standard deviation up to a factor that the other pairs
-/// tell.
+/// Finds pairs whose light differs by the same fraction in the same direction, each too little to be
+/// reported alone. `apart`: relative difference of a pair; `sigma`: its standard deviation up to a
+/// factor determined by the other pairs.
 fn find_equally_apart(
     pairs: &[usize],
     apart: impl Fn(usize) -> f64,
@@ -130,7 +132,7 @@ fn find_equally_apart(
             let is_alike = |i: &usize| (apart(*i) - mean).abs() < MAX_SIGMAS_FROM_MEAN * scale * sigma(*i);
             let are_apart = found.iter().all(|&i| sign * z(i) > least) && found.iter().all(is_alike);
             let is_large = mean.abs() > MIN_RELATIVE_DIFFERENCE.max(MIN_SIGMAS * std);
-            // A lamp that warms up, and lag, go on in the other pairs.
+            // A warming lamp, and lag, continue in the other pairs.
             let goes_on = mean_of_rest.abs() > MAX_SIGMAS_OF_OTHERS * std_of_rest;
             (are_apart && is_large && !goes_on).then(|| found.to_vec())
         })
@@ -145,8 +147,9 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// False alarms in 2000 campaigns of 18 pairs under 0.2 % flicker: two at most, and one in 100 where single
-    /// frames are far off. Four pairs that lack seven standard deviations are found in four of five.
+    /// False alarms in 2000 campaigns of 18 pairs under 0.2 % flicker: two at most, and one in 100 if
+    /// single frames are far off. Four pairs that lack seven standard deviations are found in four of
+    /// five.
     #[test]
     fn pairs_that_differ_alike_are_found() {
         let of = |seed: u64, kind: u64, off: f64| {
@@ -154,7 +157,7 @@ mod tests {
                 let mut rng = PixelRng::new(seed, Stream::Effect, kind, i as u32, 0);
                 let own = match kind {
                     0 => rng.normal(),
-                    // Ripple that frames meet at any phase, and a lamp that is far off now and then.
+                    // Ripple at a random phase per frame, and a lamp with occasional large deviations.
                     1 => (std::f64::consts::TAU * rng.uniform()).sin() * 2f64.sqrt(),
                     _ => rng.normal() * if rng.uniform() < 0.1 { 5.0 } else { 1.0 },
                 };
@@ -172,8 +175,8 @@ mod tests {
         assert!(right > 400 && found.len() - right < 15, "{right} of {}", found.len());
     }
 
-    /// Lamp that warms up by 5 % over 8 of 100 frames and flickers by 0.1 %: the first pairs differ more than all
-    /// others, and are no slip.
+    /// Lamp that warms up by 5 % over 8 of 100 frames and flickers by 0.1 %: the first pairs differ more
+    /// than all others, but are not a fault.
     #[test]
     fn a_lamp_that_warms_up_is_no_slip() {
         let of = |seed: u64| {

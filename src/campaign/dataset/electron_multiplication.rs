@@ -1,24 +1,25 @@
-//! Cameras that multiply electrons before they read them: the multiplication is random, and its noise is more
-//! than that of photons.
+//! Cameras with electron multiplication before readout: the multiplication is random and adds noise to
+//! the photon noise.
 
 use super::CameraInfo;
 use crate::number::{six_digits, with_unit};
 
-/// Features that state the multiplication: of FITS headers and names, and of GenICam cameras.
+/// Names of features that state the multiplication gain, in FITS headers, file names and GenICam
+/// cameras.
 const NAMES: [&str; 2] = ["EMGAIN", "EMGain"];
-/// Stages of a multiplication register (Robbins and Hadwen 2003, IEEE Trans. Electron Devices 50, 1227; those of
-/// cameras that are sold have 500 to 600).
+/// Number of stages of a multiplication register (Robbins and Hadwen 2003, IEEE Trans. Electron Devices
+/// 50, 1227; commercial cameras have 500 to 600).
 const STAGES: f64 = 536.0;
 
-/// A multiplication of electrons.
+/// Gain of an electron multiplication.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ElectronMultiplication {
     gain: f64,
 }
 
 impl ElectronMultiplication {
-    /// Reads the multiplication that the camera's features state; `None` without one, or with a conventional
-    /// amplifier.
+    /// Reads the multiplication gain stated by the camera's features; `None` without one, or with a
+    /// conventional amplifier.
     pub fn of(camera: &CameraInfo) -> Option<Self> {
         let text = |name: &str| {
             let value = camera.features.get(name)?;
@@ -29,7 +30,8 @@ impl ElectronMultiplication {
         (gain > 1.0 && gain.is_finite() && !other).then_some(Self { gain })
     }
 
-    /// Variance of the light over that of photons, F^2 (the same source, eq. 11).
+    /// Returns the excess noise factor F^2: variance of the light signal over that of photons (same
+    /// source, eq. 11).
     pub fn excess(self) -> f64 {
         2.0 * (self.gain - 1.0) * self.gain.powf(-(STAGES + 1.0) / STAGES) + self.gain.recip()
     }
@@ -45,8 +47,8 @@ impl ElectronMultiplication {
         )
     }
 
-    /// Describes that error with the system gain, from the gain of the photon transfer and its standard error,
-    /// DN/e.
+    /// Describes that error, with the system gain computed from the photon-transfer gain and its
+    /// standard error, DN/e.
     pub fn with_gain(self, gain: f64, std_err: f64) -> String {
         let excess = self.excess();
         let own = with_unit(gain / excess, std_err / excess, "DN/e");
@@ -63,7 +65,7 @@ mod tests {
         CameraInfo { features, ..CameraInfo::default() }
     }
 
-    /// Twice the noise of photons at high gain, none at one (Robbins and Hadwen 2003, fig. 2).
+    /// F^2 is 2 at high gain and 1 at gain one (Robbins and Hadwen 2003, fig. 2).
     #[test]
     fn excess_noise_goes_from_one_to_two() {
         let excess = |gain: f64| ElectronMultiplication { gain }.excess();

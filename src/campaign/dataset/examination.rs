@@ -1,4 +1,4 @@
-//! Findings of the look at the data, and the dataset without the rows that are left out.
+//! Findings of the examination of the data, and the dataset without the excluded rows.
 
 use super::{DataFault, Dataset, Set, SharedNoise};
 use crate::statistics::outliers;
@@ -6,29 +6,31 @@ use ndarray::Array2;
 use std::collections::HashSet;
 use std::sync::Arc;
 
-/// Set that is left out, and was exposed nonetheless: what follows it may carry its charge.
+/// Excluded set that was still exposed: its charge may carry over to the next set.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PassedOver {
     /// Number of the set.
     pub set: u32,
     /// Mean of its last frame, DN.
     pub last_dn: f64,
-    /// True if its charge is that of stated exposure and light, and its level is not, as under another gain.
+    /// True if its charge matches the stated exposure and light but its level does not, as under another
+    /// gain.
     pub as_stated: bool,
 }
 
-/// Findings of the examination beside the faults.
+/// Findings of the examination other than faults.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Examination {
-    /// Step of the converter as the codes show it, DN; 1 before.
+    /// Code step of the converter, DN; 1 before the examination.
     pub code_step_dn: f64,
-    /// Single samples that stand far off.
+    /// Outlier samples.
     pub struck: StruckSamples,
-    /// Share of a change of level that first frames carry from the set before; 0 where none is seen.
+    /// Fraction of a level change carried over from the previous set into first frames; 0 if none is
+    /// seen.
     pub carried_share: f64,
-    /// Noise that neighbours or successive frames share.
+    /// Noise shared by neighbours or successive frames.
     pub shared_noise: Option<SharedNoise>,
-    /// True if the flats are dark-subtracted: the black level of the manifest is not theirs.
+    /// True if the flats are dark-subtracted: the black level of the manifest does not apply to them.
     pub flats_are_dark_subtracted: bool,
 }
 
@@ -41,57 +43,57 @@ pub(super) const UNEXAMINED: Examination = Examination {
     flats_are_dark_subtracted: false,
 };
 
-/// Single samples that stand far off the same pixel in other frames.
+/// Single samples that are far from the same pixel in other frames.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StruckSamples {
-    /// Their number; 0 before the examination.
+    /// Number of outliers; 0 before the examination.
     pub number: u64,
-    /// False where they lie in the same pixels again and again, and belong to the sensor.
+    /// False if the outliers repeat in the same pixels and so belong to the sensor.
     pub are_rays: bool,
 }
 
 impl Dataset {
-    /// Faults that [`examined`](crate::data_faults::examined) found; empty before it ran.
+    /// Returns the faults found by [`examined`](crate::data_faults::examined); empty before it ran.
     pub fn data_faults(&self) -> &[DataFault] {
         self.faults.as_deref().unwrap_or_default()
     }
 
-    /// Distance of the codes of the converter, DN, as [`examined`](crate::data_faults::examined) found it from
-    /// the codes that occur: 16 of 12 bits in the upper bits of 16; 1 before it ran, and of codes that are the
-    /// converter's.
+    /// Returns the code step of the converter, DN, found by [`examined`](crate::data_faults::examined)
+    /// from the codes that occur: 16 for 12 bits stored in the upper bits of 16; 1 before it ran, and if
+    /// the codes are unscaled.
     pub fn code_step_dn(&self) -> f64 {
         self.examination.code_step_dn
     }
 
-    /// Number of single samples that stand far off the same pixel in other frames (cosmic rays, bit errors); 0
-    /// before [`examined`](crate::data_faults::examined) ran.
+    /// Returns the number of single samples far from the same pixel in other frames (cosmic rays, bit
+    /// errors); 0 before [`examined`](crate::data_faults::examined) ran.
     pub fn struck(&self) -> u64 {
         self.examination.struck.number
     }
 
-    /// Share of a change of level that first frames carry from the set before, by image lag or a filter over
-    /// time, as [`examined`](crate::data_faults::examined) found it; 0 before it ran, and where none is seen.
+    /// Returns the fraction of a level change carried over from the previous set into first frames, by
+    /// image lag or a temporal filter, found by [`examined`](crate::data_faults::examined); 0 before it
+    /// ran and if none is seen.
     pub fn carried_share(&self) -> f64 {
         self.examination.carried_share
     }
 
-    /// Black level of the manifest, DN; `None` for dark-subtracted flats.
+    /// Returns the black level of the manifest, DN; `None` for dark-subtracted flats.
     pub fn black_level_dn(&self) -> Option<f64> {
         self.manifest().camera.black_level_dn.filter(|_| !self.examination.flats_are_dark_subtracted)
     }
 
-    /// Noise that neighbours or successive frames share in all flats.
+    /// Returns the noise shared by neighbours or successive frames in all flats.
     pub(crate) fn shared_noise(&self) -> Option<SharedNoise> {
         self.examination.shared_noise
     }
 
-    /// False where the samples that stand far off lie in the same pixels again and again: noisy pixels.
+    /// Returns false if the outlier samples repeat in the same pixels: noisy pixels.
     pub(crate) fn struck_are_rays(&self) -> bool {
         self.examination.struck.are_rays
     }
 
-    /// Frames without single samples that stand far off the same pixel in the others, where these are rays,
-    /// and how many they are.
+    /// Returns the frames with outlier samples removed if these are cosmic rays, and the number removed.
     pub(crate) fn without_struck(&self, block: Vec<Arc<Array2<u16>>>) -> (Vec<Arc<Array2<u16>>>, usize) {
         if !self.examination.struck.are_rays {
             return (block, 0);
@@ -100,7 +102,7 @@ impl Dataset {
         (block, pixels.len())
     }
 
-    /// Variance of quantisation, DN^2: q^2 / 12 (eq. 27 of Healey and Kondepudy).
+    /// Returns the quantisation variance, DN^2: q^2 / 12 (eq. 27 of Healey and Kondepudy).
     pub fn quantisation_dn2(&self) -> f64 {
         self.examination.code_step_dn.powi(2) / 12.0
     }
@@ -110,7 +112,7 @@ impl Dataset {
         self.faults.is_some()
     }
 
-    /// Removes rows because of these faults. Some of the sets were exposed nonetheless.
+    /// Removes rows with these faults. Some of the removed sets were still exposed.
     pub(crate) fn without(
         &self,
         out: &[bool],
@@ -131,7 +133,7 @@ impl Dataset {
         kept
     }
 
-    /// The campaign with the sets that were left out and exposed nonetheless, and these.
+    /// Returns the campaign including the excluded sets that were still exposed, and the list of these.
     pub(crate) fn timeline(&self) -> (Self, Vec<PassedOver>) {
         match &self.passed_over {
             Some(all) => (**all).clone(),

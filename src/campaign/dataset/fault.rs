@@ -1,4 +1,4 @@
-//! Faults of the data of a campaign, as the JSON has them.
+//! Data faults of a campaign, as in the JSON.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,43 +11,43 @@ pub enum FaultKind {
     SettingLabel,
     /// Dark and flat exchanged.
     KindLabel,
-    /// Copies of a frame.
+    /// Duplicate frames.
     CopiedFrames,
     /// Averaged or filtered over time before they were saved, in these sets only.
     DependentFrames,
     /// The first frame was exposed under the settings of the set before.
     StaleFrame,
-    /// Single frame of another level.
+    /// Single frame with another level.
     OddFrame,
     /// Another gain, black level or orientation.
     OtherSettings,
-    /// Frames or sets of equal settings under unequal light.
+    /// Frames or sets with equal settings but different light.
     UnequalLight,
 }
 
-/// A slip of the hand.
+/// Fault in the recorded data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DataFault {
     /// Kind of the fault.
     pub kind: FaultKind,
-    /// Numbers of its sets.
+    /// Numbers of the affected sets.
     pub sets: Vec<u32>,
-    /// Files of its frames, where they are single ones of a set.
+    /// Files of the affected frames, if only single frames of a set are affected.
     pub frames: Vec<String>,
     /// Sentence with the fault, its place and the value that would fit.
     pub text: String,
-    /// True if the frames listed, or else the sets, are left out.
+    /// True if the listed frames, or else the sets, are excluded.
     pub left_out: bool,
 }
 
 impl DataFault {
-    /// Returns true if it is light that leaks into darks: these stay, and their growth with the exposure is no
+    /// Returns true for a light leak into darks: these darks stay, but their growth with exposure is not
     /// dark current.
     pub fn is_leak(&self) -> bool {
         self.kind == FaultKind::KindLabel && !self.left_out
     }
 
-    /// Returns true if all frames are means of several: no set is left that has the gain of the camera.
+    /// Returns true if all frames are averages of several: no remaining set has the camera's gain.
     pub fn is_of_means(&self) -> bool {
         self.kind == FaultKind::DependentFrames && !self.left_out
     }

@@ -1,4 +1,4 @@
-//! Frames of a dataset: read, checked against its manifest, kept in memory for the next pass.
+//! Frame reading: frames are checked against the manifest and cached for the next pass.
 
 use super::{Dataset, DatasetError, FrameRow, Set, image, planes_in_words, split_page};
 use crate::input::echo;
@@ -17,13 +17,13 @@ pub struct Region {
 }
 
 impl Region {
-    /// Number of its pixels.
+    /// Returns the number of pixels.
     pub(crate) fn pixels(&self) -> usize {
         self.rows.len() * self.columns.len()
     }
 }
 
-/// Region that is kept of frames of (rows, columns).
+/// Region retained of frames of size (rows, columns).
 #[derive(Debug, Clone)]
 pub(super) struct Cut {
     region: Region,
@@ -31,7 +31,8 @@ pub(super) struct Cut {
 }
 
 impl Dataset {
-    /// The campaign with these pixels of each frame only, of a part as of a whole; `None` where there are none.
+    /// Returns the campaign with only these pixels of each frame, counted from the current cut; `None`
+    /// if none remain.
     pub(crate) fn cut_to(&self, region: Region) -> Option<Self> {
         if region.pixels() == 0 {
             return None;
@@ -46,24 +47,24 @@ impl Dataset {
         let columns = region.columns.start + left..region.columns.end + left;
         part.cut = Some(Cut { region: Region { rows, columns }, whole });
         part.kept = Arc::default();
-        // Sets that were passed over are read with the others.
+        // Excluded sets that were exposed are read with the same cut.
         if let Some((all, passed_over)) = self.passed_over.as_deref() {
             part.passed_over = Some(Arc::new((all.cut_to(region)?, passed_over.clone())));
         }
         Some(part)
     }
 
-    /// Returns true of a campaign without some of its pixels.
+    /// Returns true if the campaign is cut to a region.
     pub(crate) fn is_cut(&self) -> bool {
         self.cut.is_some()
     }
 
-    /// One colour of a mosaic, as a campaign of half the size: the pixel at this row and column, 0 or 1, of every
-    /// 2 x 2 cell.
+    /// Returns one colour plane of a mosaic, as a campaign of half the size: the pixel at this row and
+    /// column, 0 or 1, of every 2 x 2 cell.
     ///
     /// # Errors
     ///
-    /// A dataset that is one plane already, or holds statistics whose frames are not read again.
+    /// The dataset is already one plane, or holds statistics whose frames are not read again.
     pub fn plane(mut self, plane: [u8; 2]) -> Result<Self, DatasetError> {
         let fault =
             |message: &str| DatasetError::Manifest { path: self.root.clone(), message: message.into() };
@@ -82,12 +83,12 @@ impl Dataset {
         Ok(self)
     }
 
-    /// Refuses a colour mosaic, for statistics that hold for pixels of one kind: its planes differ in light and,
-    /// with a white balance, in gain.
+    /// Refuses a colour mosaic, for statistics that are valid only for pixels of one kind: its planes
+    /// differ in light and, with a white balance, in gain.
     ///
     /// # Errors
     ///
-    /// A mosaic: its format and what to do.
+    /// The dataset is a mosaic: its format and what to do.
     pub fn must_be_monochrome(&self) -> Result<(), DatasetError> {
         let camera = &self.manifest.camera;
         if !camera.is_mosaic() {
@@ -101,11 +102,11 @@ impl Dataset {
         Err(DatasetError::Manifest { path: self.root.clone(), message })
     }
 
-    /// Reads one frame, (rows, columns) in DN, and checks its size and range by the manifest.
+    /// Reads one frame, (rows, columns) in DN, and checks size and range against the manifest.
     ///
     /// # Errors
     ///
-    /// Which frame cannot be read, or has another size or larger codes than the manifest says.
+    /// The frame cannot be read, or has another size or larger codes than the manifest says.
     pub fn read(&self, row: &FrameRow) -> Result<Array2<u16>, DatasetError> {
         if let Some(known) = self.kept.get(&row.file) {
             return Ok(Arc::unwrap_or_clone(known));
@@ -115,7 +116,7 @@ impl Dataset {
         Ok(buffer.into_array())
     }
 
-    /// The same, kept in memory for the next time as long as there is room: several passes decode a frame once.
+    /// Reads one frame through a bounded cache, so that several passes decode it once.
     pub(crate) fn frame(&self, row: &FrameRow) -> Result<Arc<Array2<u16>>, DatasetError> {
         if let Some(known) = self.kept.get(&row.file) {
             return Ok(known);
@@ -125,12 +126,12 @@ impl Dataset {
         Ok(frame)
     }
 
-    /// Gives the memory of [`frame`](Self::frame) back.
+    /// Frees the cache of [`frame`](Self::frame).
     pub(crate) fn forget_frames(&self) {
         self.kept.clear();
     }
 
-    /// Reads one frame into a recycled buffer: many frames one after the other cost less.
+    /// Reads one frame into a recycled buffer, which is faster for many frames.
     ///
     /// # Errors
     ///
@@ -148,7 +149,7 @@ impl Dataset {
         if let Some(of_part) = roots().find(|root| Path::new(name).starts_with(root)) {
             root = of_part;
         }
-        // Joining a path with one that begins as it does would double it.
+        // `root.join(name)` would repeat a name that already begins with the root.
         let path = if roots().next().is_none() { root.join(name) } else { name.into() };
         // A link inside the folder may point out of it.
         let whole = match (path.canonicalize(), root.canonicalize()) {
@@ -195,7 +196,7 @@ impl Dataset {
         Ok(())
     }
 
-    /// Refuses a file that another row names too, by a link or a loop of links.
+    /// Refuses a file that another row also names, through a link or a loop of links.
     fn must_be_one_row(&self, row: &FrameRow, file: (PathBuf, usize)) -> Result<(), String> {
         let mut known = self.rows_of_files.lock().unwrap_or_else(PoisonError::into_inner);
         let first = known.entry(file).or_insert_with(|| row.file.clone());
@@ -205,11 +206,11 @@ impl Dataset {
         Err(format!("is the file of row {} too, by a link: a frame is named twice", echo(first)))
     }
 
-    /// Reads the frames of a set in the order of time.
+    /// Reads the frames of a set in time order.
     ///
     /// # Errors
     ///
-    /// Which frame cannot be read, or has another size or larger codes than the manifest says.
+    /// A frame cannot be read, or has another size or larger codes than the manifest says.
     pub fn read_set(&self, set: &Set) -> Result<Vec<Array2<u16>>, DatasetError> {
         set.rows.iter().map(|&i| self.read(&self.rows[i])).collect()
     }

@@ -1,14 +1,15 @@
-//! Decoded frames in memory: the examination, the first look and the pass over all frames read the same files.
+//! Cache of decoded frames: the examination, the first look and the pass over all frames read the same
+//! files.
 
 use ndarray::Array2;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Maximum size of the frames, bytes: compressed frames take longer to decode than to look at. A named choice: a
-/// tenth of the memory of a small machine.
+/// Maximum size of the cache, bytes: decoding compressed frames takes longer than examining them. A
+/// named choice: a tenth of the memory of a small machine.
 const MAX_BYTES: usize = 256 << 20;
 
-/// Frames by their file and page.
+/// Cached frames by file and page.
 #[derive(Debug, Default)]
 pub(super) struct Kept(Mutex<Frames>);
 
@@ -27,7 +28,7 @@ impl Kept {
         self.lock().by_file.get(file).cloned()
     }
 
-    /// Keeps a frame as long as there is room.
+    /// Caches a frame if there is room.
     pub(super) fn put(&self, file: &str, frame: &Arc<Array2<u16>>) {
         let (mut frames, bytes) = (self.lock(), size_of::<u16>() * frame.len());
         if frames.bytes + bytes <= MAX_BYTES && !frames.by_file.contains_key(file) {

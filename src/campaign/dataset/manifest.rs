@@ -1,4 +1,4 @@
-//! `dataset.toml`: what camera and bench said of themselves.
+//! `dataset.toml`: metadata of camera and bench.
 
 use crate::features::{LeftOn, is_setting, left_on, same_value};
 use crate::input::{echo, echo_lines};
@@ -7,24 +7,24 @@ use crate::pixel_format::PixelFormat;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Name and major version of the format.
+/// Name and major version of the file format.
 pub const FORMAT: &str = "radcam-dataset/1";
 
-/// `dataset.toml`. Keys that this version does not know are kept out of the way, not refused.
+/// Contents of `dataset.toml`. Unknown keys are ignored, not refused.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// [`FORMAT`].
     pub format: String,
-    /// The camera and its settings.
+    /// Camera and settings.
     pub camera: CameraInfo,
-    /// The light, where known.
+    /// Light, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchInfo>,
-    /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell of the files that is a frame's: one
-    /// colour of a mosaic. Size and pixel format of `camera` are then those of the plane.
+    /// Row and column, 0 or 1, of the pixel of every 2 x 2 cell of the files that belongs to a frame:
+    /// one colour of a mosaic. Size and pixel format of `camera` are then those of the plane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plane: Option<[u8; 2]>,
-    /// What `import` made of files that did not say everything.
+    /// Guesses and notes of `import`, for files with incomplete metadata.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub import: Option<ImportInfo>,
 }
@@ -32,10 +32,10 @@ pub struct Manifest {
 /// The `[import]` table.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ImportInfo {
-    /// Values that names and headers do not state or contradict, with their sets, in sentences.
+    /// Values that names and headers do not state or contradict, with their sets, as sentences.
     #[serde(default)]
     pub guessed: Vec<String>,
-    /// What else was found in the files and should be known, in sentences.
+    /// Other findings in the files worth knowing, as sentences.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
 }
@@ -43,7 +43,7 @@ pub struct ImportInfo {
 /// The `[camera]` table.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct CameraInfo {
-    /// Maker.
+    /// Manufacturer.
     #[serde(default)]
     pub vendor: String,
     /// Model name.
@@ -56,7 +56,7 @@ pub struct CameraInfo {
     pub width: usize,
     /// Rows, pixels.
     pub height: usize,
-    /// Bits of a code, 1 to 16.
+    /// Bit depth, 1 to 16.
     pub bit_depth: u8,
     /// PFNC name.
     #[serde(default)]
@@ -73,10 +73,10 @@ pub struct CameraInfo {
     /// Firmware version.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub firmware: Option<String>,
-    /// Automatic functions that could not be switched off, by their GenICam names.
+    /// Automatic functions that could not be disabled, by GenICam name.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub still_automatic: Vec<String>,
-    /// Features of which radcam knows nothing and whose names speak of radiometry; their values stand in
+    /// Features unknown to radcam whose names suggest an effect on radiometry; their values are in
     /// `features`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unlisted_features: Vec<String>,
@@ -90,24 +90,24 @@ pub struct CameraInfo {
 pub struct BenchInfo {
     /// `relative` or `photons/px/s`.
     pub illumination_unit: String,
-    /// How well each level is known, relative; absent: not known.
+    /// Relative standard uncertainty of each level; absent: unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub illumination_rel_std: Option<f64>,
-    /// The light at illumination 1 in photons, where a photodiode told it.
+    /// Light at illumination 1 in photons, measured with a photodiode.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub light: Option<Light>,
 }
 
 impl CameraInfo {
-    /// Features that changed pixel values while the frames were taken, as far as is known.
+    /// Returns features known to have changed pixel values during capture.
     pub fn left_on(&self) -> Vec<LeftOn> {
         let text = |v: &toml::Value| v.as_str().map_or_else(|| v.to_string(), Into::into);
         let values = self.features.iter().map(|(name, value)| (name.clone(), text(value))).collect();
         left_on(&values, &self.still_automatic)
     }
 
-    /// Differences of a camera from this one, in words: a calibration or a dataset does not hold for them.
-    /// Compared are those properties that both sides know.
+    /// Describes the differences of another camera from this one: a calibration or dataset does not hold
+    /// for them. Only properties known on both sides are compared.
     ///
     /// ```
     /// use radcam::dataset::CameraInfo;
@@ -125,8 +125,8 @@ impl CameraInfo {
         own.chain(settings).collect()
     }
 
-    /// Properties that these frames do not state and this side knows, with the value here: they cannot be
-    /// compared. Of the features only those that image files can state, gain, offset and binning.
+    /// Lists properties that these frames do not state but this side knows, with its value: they cannot
+    /// be compared. Only features that image files can state are included: gain, offset and binning.
     ///
     /// ```
     /// use radcam::dataset::CameraInfo;
@@ -140,7 +140,7 @@ impl CameraInfo {
         };
         let pairs = self.properties().into_iter().zip(now.properties());
         let own = pairs.filter_map(|((name, was), (_, is))| match name {
-            // Read from the pixels, where the file does not state them.
+            // These are read from the pixels if the file does not state them.
             "size" | "bit depth" => None,
             "pixel format" if !self.is_mosaic() => None,
             _ => absent(name, was, is),
@@ -152,7 +152,7 @@ impl CameraInfo {
         own.chain(features).collect()
     }
 
-    /// Name and value, as text, of what is compared; empty where it is not known.
+    /// Returns name and value, as text, of the compared properties; empty if unknown.
     fn properties(&self) -> [(&'static str, String); 8] {
         let number = |x: Option<f64>, unit: &str| x.map_or(String::new(), |x| format!("{x} {unit}"));
         let size = if self.width * self.height == 0 {
@@ -160,7 +160,7 @@ impl CameraInfo {
         } else {
             format!("{} x {} px", self.width, self.height)
         };
-        // Packing changes the bytes of a frame, and not its codes.
+        // Packing changes the bytes of a frame, not its codes.
         let codes = match PixelFormat::from_name(&self.pixel_format) {
             Ok(f) if f.name().starts_with("Mono") => format!("Mono of {} bits", f.bits()),
             _ => self.pixel_format.clone(),
@@ -177,19 +177,19 @@ impl CameraInfo {
         ]
     }
 
-    /// Colour mosaic of two by two pixels: true where frames are one. Formats that radcam cannot unpack count
-    /// too: files hold mosaics of 14 bits.
+    /// Returns true for a colour mosaic of 2 x 2 pixels. Formats that radcam cannot unpack count too:
+    /// files hold mosaics of 14 bits.
     pub fn is_mosaic(&self) -> bool {
         self.pixel_format.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("Bayer"))
     }
 
-    /// Refuses numbers that cannot be.
+    /// Refuses impossible numbers.
     ///
     /// # Errors
     ///
-    /// Key and value.
+    /// Key and value of the impossible number.
     pub fn check(&self) -> Result<(), String> {
-        /// A gain of 200 dB is 10^10; no amplifier has it.
+        /// Maximum gain, dB: 200 dB is 10^10, which no amplifier has.
         const MAX_GAIN_DB: f64 = 200.0;
         let bounds = [
             ("gain_db", self.gain_db, (-MAX_GAIN_DB, MAX_GAIN_DB), "dB"),
@@ -215,16 +215,16 @@ impl CameraInfo {
         }
     }
 
-    /// Largest code, DN.
+    /// Returns the maximum code, DN.
     pub fn full_scale_dn(&self) -> u16 {
         ((1u32 << self.bit_depth.min(16)) - 1) as u16
     }
 }
 
-/// Features that the headers of image files state: gain and offset in units of the camera, and binning.
+/// Features stated in headers of image files: gain and offset in camera units, and binning.
 const IN_FILES: [&str; 4] = ["GainRaw", "BlackLevelRaw", "BinningHorizontal", "BinningVertical"];
 
-/// A feature as users of image files know it.
+/// Returns the name of a feature as users of image files know it.
 fn in_words(feature: &str) -> String {
     match feature {
         "GainRaw" => "gain setting (GainRaw)".into(),
@@ -239,15 +239,15 @@ fn difference(name: &str, was: String, is: String) -> Option<String> {
 }
 
 impl Manifest {
-    /// A manifest without a bench.
+    /// Creates a manifest without a bench.
     pub fn new(camera: CameraInfo) -> Self {
         Self { format: FORMAT.into(), camera, bench: None, plane: None, import: None }
     }
 
-    /// What `import` guessed and found, as notes of a result.
+    /// Returns the guesses and findings of `import` as notes of a result.
     pub fn import_notes(&self) -> Vec<String> {
         let Some(import) = &self.import else { return Vec::new() };
-        // The first of many guesses of one kind stands for all.
+        // The first of many guesses of one kind represents all.
         let key = |text: &str| text.split_once(" of ").map_or(text, |(key, _)| key).to_string();
         let mut kinds: Vec<(String, &String, usize)> = Vec::new();
         for text in &import.guessed {
@@ -265,8 +265,8 @@ impl Manifest {
         guessed.chain(import.notes.iter().map(|text| format!("found by import: {text}"))).collect()
     }
 
-    /// Differences of camera, settings and light of another campaign, in words: none where the two can be
-    /// taken together.
+    /// Describes the differences of another campaign in camera, settings and light; none if both can be
+    /// combined.
     pub fn differences(&self, now: &Self) -> Vec<String> {
         let mut found = self.camera.differences(&now.camera);
         let unit = |m: &Self| m.bench.as_ref().map(|b| b.illumination_unit.clone()).unwrap_or_default();
@@ -276,11 +276,11 @@ impl Manifest {
         found
     }
 
-    /// Reads and checks; the error is a sentence.
+    /// Reads and checks a manifest; the error is a sentence.
     ///
     /// # Errors
     ///
-    /// What is wrong with it, in words.
+    /// Description of the fault.
     pub fn from_toml(text: &str) -> Result<Self, String> {
         let table: toml::Table = toml::from_str(text).map_err(|e| echo_lines(&e.to_string()))?;
         match table.get("format").and_then(|f| f.as_str()) {
@@ -363,7 +363,7 @@ mod tests {
         assert!(with(1, 12).differences(&with(1, 12)).is_empty());
         assert_eq!(with(1, 12).differences(&with(2, 12)), ["BinningHorizontal is 2, and was 1"]);
         assert_eq!(with(1, 8).differences(&with(1, 16)), ["bit depth is 16, and was 8"]);
-        // What one side does not know is no difference.
+        // A property unknown on one side is not a difference.
         assert!(with(1, 12).differences(&CameraInfo::default()).is_empty());
     }
 

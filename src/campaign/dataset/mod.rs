@@ -1,7 +1,7 @@
-//! A campaign on disk: a folder with `dataset.toml`, `frames.csv` and the frames.
+//! Campaign on disk: a folder with `dataset.toml`, `frames.csv` and the frames.
 //!
-//! [`Dataset::open`] also reads the descriptor file of an EMVA 1288 test. A table of statistics, which has no
-//! frames, is [`table::Table`].
+//! [`Dataset::open`] also reads the descriptor file of an EMVA 1288 test. A table of statistics without
+//! frames is [`table::Table`].
 
 mod electron_multiplication;
 mod emva;
@@ -57,21 +57,21 @@ pub const COLUMNS: [&str; 9] = [
     "timestamp_s",
 ];
 
-/// Ratio of the darks' exposure to the longest one of the flats from which on their dark charge is no matter of
-/// the flats (a named choice).
+/// Minimum ratio of the darks' exposure to the longest flat exposure at which their dark charge is
+/// irrelevant to the flats (a named choice).
 pub(crate) const LONG_DARKS: f64 = 2.0;
 
-/// What a frame shows.
+/// Kind of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
     /// No light.
     Dark,
-    /// A uniform card.
+    /// Uniform card.
     Flat,
-    /// Anything else of one still scene.
+    /// Any other still scene.
     Scene,
-    /// A scene-variation surface.
+    /// Scene-variation surface.
     Target,
 }
 
@@ -91,64 +91,64 @@ impl fmt::Display for Kind {
 pub struct FrameRow {
     /// Path inside the folder; `name.tiff#3` is page 3, counted from 0.
     pub file: String,
-    /// What the frame shows.
+    /// Kind of the frame.
     pub kind: Kind,
-    /// Frames of one set share every setting and follow one another in time.
+    /// Number of the set. Frames of one set share every setting and follow one another in time.
     pub set: u32,
-    /// Place within the set, from 0.
+    /// Index within the set, from 0.
     pub index: u32,
     /// Commanded exposure, s.
     pub exposure_s: f64,
-    /// Relative to the campaign's unit; 0 for darks.
+    /// Light relative to the campaign's unit; 0 for darks.
     pub illumination: f64,
     /// Position of card and light (Section V of the paper).
     pub configuration: u32,
     /// Sensor temperature, degrees Celsius.
     pub temperature_c: Option<f64>,
-    /// Start of the exposure, s from the start of the campaign.
+    /// Start of the exposure, s since the start of the campaign.
     pub timestamp_s: Option<f64>,
 }
 
-/// What is wrong with a dataset, and where.
+/// Errors of a dataset, with their place.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DatasetError {
-    /// The file system refused.
+    /// Error of the file system.
     #[error("{path}: {source}")]
     Io {
         /// File or folder.
         path: PathBuf,
-        /// What it said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// `dataset.toml` or the descriptor cannot be understood.
+    /// `dataset.toml` or the descriptor cannot be parsed.
     #[error("{path}: {message}")]
     Manifest {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Description of the fault.
         message: String,
     },
-    /// A row is wrong.
+    /// Invalid row.
     #[error("{path}, line {line}: {message}")]
     Row {
         /// `frames.csv`, the descriptor or the table.
         path: PathBuf,
         /// Line of that file, from 1.
         line: u64,
-        /// What is wrong.
+        /// Description of the fault.
         message: String,
     },
-    /// A frame is wrong.
+    /// Invalid frame.
     #[error("frame {} (set {set}, index {index}): {message}", echo(.file))]
     Frame {
-        /// Path as `frames.csv` has it.
+        /// Path as in `frames.csv`.
         file: String,
-        /// Its set.
+        /// Number of the set.
         set: u32,
-        /// Its place in the set.
+        /// Index in the set.
         index: u32,
-        /// What is wrong.
+        /// Description of the fault.
         message: String,
     },
 }
@@ -160,46 +160,46 @@ impl DatasetError {
     }
 }
 
-/// Frames that share every setting, in the order of time.
+/// Frames with the same settings, in time order.
 #[derive(Debug, Clone)]
 pub struct Set {
     /// Number of the set in `frames.csv`.
     pub number: u32,
-    /// Places of its frames in [`Dataset::rows`].
+    /// Indices of the frames in [`Dataset::rows`].
     pub rows: Vec<usize>,
 }
 
-/// A campaign: its manifest and its rows; frames are read when asked for.
+/// Campaign: manifest and rows; frames are read on demand.
 #[derive(Debug, Clone)]
 pub struct Dataset {
     root: PathBuf,
     manifest: Manifest,
     rows: Vec<FrameRow>,
     sets: Vec<Set>,
-    /// Of several that were joined: their folders, and the first row of each. Empty otherwise.
+    /// Folder and first row of each joined dataset; empty if none were joined.
     parts: Vec<(PathBuf, usize)>,
-    /// Folders in which rows with absolute paths may lie.
+    /// Folders that rows with absolute paths may point into.
     folders: Vec<PathBuf>,
-    /// What is known of frames without reading them.
+    /// Statistics that replace reading frames.
     reduced: Option<Arc<Reduced>>,
     /// Faults found by the examination; `None` before it.
     faults: Option<Arc<[DataFault]>>,
-    /// Stacks that were opened.
+    /// Cache of opened stacks.
     opened: Arc<image::Opened>,
-    /// Row of every file and page that was read, after links.
+    /// Row of every file and page read so far, after resolving links.
     rows_of_files: Arc<Mutex<HashMap<(PathBuf, usize), String>>>,
-    /// Frames that [`frame`](Self::frame) has read.
+    /// Cache of frames read by [`frame`](Self::frame).
     kept: Arc<kept::Kept>,
-    /// Findings of the examination beside them.
+    /// Findings of the examination other than faults.
     examination: Examination,
-    /// Sets that the examination left out, and that were exposed nonetheless.
+    /// Sets excluded by the examination that were still exposed.
     passed_over: Option<Arc<(Dataset, Vec<PassedOver>)>>,
-    /// Part of the frames that is kept; `None`: all of them.
+    /// Region of the frames that is retained; `None`: whole frames.
     cut: Option<frames::Cut>,
 }
 
 impl Dataset {
-    /// Opens a dataset folder or an EMVA 1288 descriptor file, and checks every row of it.
+    /// Opens a dataset folder or an EMVA 1288 descriptor file, and checks every row.
     ///
     /// ```no_run
     /// let dataset = radcam::dataset::Dataset::open("campaign".as_ref())?;
@@ -212,7 +212,7 @@ impl Dataset {
     ///
     /// # Errors
     ///
-    /// Where the folder, the descriptor or a row cannot be understood: file, line and what is wrong.
+    /// The folder, the descriptor or a row cannot be understood: file, line and fault.
     pub fn open(path: &Path) -> Result<Self, DatasetError> {
         if path.is_file() {
             if is_statistics(path) {
@@ -241,7 +241,7 @@ impl Dataset {
         Self::new(path.into(), manifest, parse_rows(&csv_path, &text)?, &csv_path)
     }
 
-    /// Groups rows into sets, and checks them.
+    /// Groups rows into sets and checks them.
     fn new(
         root: PathBuf,
         manifest: Manifest,
@@ -251,7 +251,7 @@ impl Dataset {
         Self::within(Vec::new(), root, manifest, rows, rows_path)
     }
 
-    /// The same where files have absolute paths in some folders.
+    /// As `new`, for files with absolute paths in given folders.
     fn within(
         folders: Vec<PathBuf>,
         root: PathBuf,
@@ -266,7 +266,7 @@ impl Dataset {
         let mut sets: Vec<Set> = Vec::new();
         for (i, (line, row)) in rows.iter().enumerate() {
             check_row(row, &folders).map_err(|message| fault(*line, message))?;
-            // `./a` is `a`: names are compared without what does not change them.
+            // `./a` equals `a`: names are compared in normalised form.
             if !files.insert(plain_name(&row.file)) {
                 return Err(fault(*line, format!("file {} stands in an earlier row too", echo(&row.file))));
             }
@@ -305,52 +305,52 @@ impl Dataset {
         })
     }
 
-    /// With what is known of its frames.
+    /// Attaches statistics of the frames.
     pub(crate) fn with_reduced(mut self, reduced: Reduced) -> Self {
         self.reduced = Some(Arc::new(reduced));
         self
     }
 
-    /// What is known of frames without reading them, of a file of statistics.
+    /// Returns the frame statistics of a statistics file, which replace reading frames.
     pub fn reduced(&self) -> Option<&Reduced> {
         self.reduced.as_deref()
     }
 
-    /// What camera and bench said of themselves; of joined datasets those of the first.
+    /// Returns metadata of camera and bench; for joined datasets those of the first.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
 
-    /// Every row, in the order of the file, which is the order of time.
+    /// Returns every row in file order, which is time order.
     pub fn rows(&self) -> &[FrameRow] {
         &self.rows
     }
 
-    /// Sets in the order of time.
+    /// Returns the sets in time order.
     pub fn sets(&self) -> &[Set] {
         &self.sets
     }
 
-    /// Whether the light is stated in photons, without an error of its own: nominal, as an EMVA 1288
-    /// descriptor has it.
+    /// Returns true if the light is stated in photons without an uncertainty: nominal, as in an EMVA
+    /// 1288 descriptor.
     pub fn light_is_nominal(&self) -> bool {
         let bench = self.manifest.bench.as_ref();
         bench.is_some_and(|b| b.illumination_unit == "photons/px/s" && b.illumination_rel_std.is_none())
     }
 
-    /// The first row of a set: its settings.
+    /// Returns the first row of a set, which gives its settings.
     pub fn settings(&self, set: &Set) -> &FrameRow {
         &self.rows[set.rows[0]]
     }
 
-    /// Where the dataset lies.
+    /// Returns the folder of the dataset.
     pub fn root(&self) -> &Path {
         &self.root
     }
 }
 
-/// The planes of a mosaic as `--plane` takes them, with their colours; of a PFNC pixel format or a pattern such
-/// as RGGB.
+/// Lists the planes of a mosaic as accepted by `--plane`, with their colours, for a PFNC pixel format or
+/// a pattern such as RGGB.
 pub(crate) fn planes_in_words(mosaic: &str) -> String {
     let pattern = mosaic.to_uppercase();
     let start = pattern.strip_prefix("BAYER").unwrap_or(&pattern).get(..2);
@@ -365,7 +365,7 @@ pub(crate) fn planes_in_words(mosaic: &str) -> String {
     format!("--plane 0,0{a}, 0,1{b}, 1,0{c} or 1,1{d}")
 }
 
-/// What to do with a folder that has no `dataset.toml`: what lies in it says what it is.
+/// Gives advice on a folder without `dataset.toml`, based on its contents.
 fn no_manifest(folder: &Path) -> String {
     let mut inside: Vec<PathBuf> =
         std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
@@ -391,7 +391,7 @@ fn no_manifest(folder: &Path) -> String {
     "has no dataset.toml: no dataset".into()
 }
 
-/// The text of a descriptor or a table; of an image that it is one.
+/// Reads the text of a descriptor or table; an image is reported as such.
 fn text(path: &Path) -> Result<String, DatasetError> {
     let start = input::start(path, 1024).map_err(DatasetError::io(path))?;
     if start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") {

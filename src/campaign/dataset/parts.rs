@@ -1,4 +1,4 @@
-//! Datasets of several others, and of some rows of one.
+//! Joined datasets and row subsets.
 
 use super::{Dataset, DatasetError, FrameRow, Manifest, Set, split_page};
 use std::collections::HashSet;
@@ -6,15 +6,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 impl Dataset {
-    /// Several datasets of one camera under one set of settings as one: sets and times of each follow those
-    /// of the one before.
+    /// Joins several datasets of one camera under the same settings: sets and times of each follow those
+    /// of the previous one.
     ///
-    /// Their light levels are told apart, for nobody knows that two campaigns had the same light. The pause
-    /// between them is not known.
+    /// Their light levels are treated as different, because equal light in two campaigns is not known.
+    /// The pause between them is not known.
     ///
     /// # Errors
     ///
-    /// Datasets of two cameras, settings or units of light, or one that is given twice.
+    /// Datasets of different cameras, settings or units of light, or one dataset given twice.
     pub fn join(datasets: Vec<Self>) -> Result<Self, DatasetError> {
         let mut datasets = datasets.into_iter();
         let Some(mut all) = datasets.next() else {
@@ -72,7 +72,7 @@ impl Dataset {
         Ok(all)
     }
 
-    /// Rows of one campaign whose files have absolute paths in some folders.
+    /// Builds a campaign from rows with absolute paths in given folders.
     pub(crate) fn of_parts(
         root: &Path,
         manifest: Manifest,
@@ -83,7 +83,7 @@ impl Dataset {
         Self::within(folders, root.into(), manifest, rows, root)
     }
 
-    /// Returns the dataset with absolute paths, so that its rows can go together with others.
+    /// Returns the dataset with absolute paths, so that its rows can be combined with others.
     pub(crate) fn absolute(mut self) -> Result<Self, DatasetError> {
         if self.folders.is_empty() {
             let root = self.root.canonicalize().map_err(DatasetError::io(&self.root))?;
@@ -101,7 +101,7 @@ impl Dataset {
         Ok(self)
     }
 
-    /// Dataset of some of its rows.
+    /// Returns a dataset with only the selected rows.
     pub(super) fn only(&self, keeps: impl Fn(usize) -> bool) -> Self {
         let out: Vec<bool> = (0..self.rows.len()).map(|row| !keeps(row)).collect();
         let mut place = Vec::with_capacity(out.len());
@@ -125,18 +125,18 @@ impl Dataset {
         }
     }
 
-    /// Folders in which rows with absolute paths may lie: none of a dataset folder.
+    /// Returns the folders that rows with absolute paths may point into; empty for a dataset folder.
     pub fn folders(&self) -> &[PathBuf] {
         &self.folders
     }
 
-    /// Number of the joined dataset that a row is of, and true for its first row.
+    /// Returns the number of the joined dataset that a row belongs to, and true for its first row.
     pub fn part_of(&self, row: usize) -> (usize, bool) {
         let part = self.parts.iter().rposition(|(_, first)| *first <= row).unwrap_or(0);
         (part, self.parts.get(part).is_some_and(|(_, first)| *first == row))
     }
 
-    /// The folders of the datasets that were joined; of one that was not, none.
+    /// Returns the folders of the joined datasets; empty if none were joined.
     pub fn parts(&self) -> Vec<&Path> {
         self.parts.iter().map(|(root, _)| root.as_path()).collect()
     }

@@ -1,4 +1,4 @@
-//! Statistics of frames that were kept, so that the frames need not be read again.
+//! Saved statistics of frames, so that the frames need not be read again.
 
 use super::{Dataset, Set};
 use serde::{Deserialize, Serialize};
@@ -7,32 +7,32 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// First line of a file of statistics.
+/// First line of a statistics file.
 pub(crate) const HEAD: &[u8] = b"radcam statistics 1\n";
 
-/// Returns true for a file that begins as one of statistics does.
+/// Returns true for a file that begins as a statistics file.
 pub(crate) fn is_statistics(path: &Path) -> bool {
     crate::input::start(path, HEAD.len() as u64).is_ok_and(|start| start == HEAD)
 }
 
-/// Frames of a set, and the settings that they were read with.
+/// Frames of a set, and the settings under which they were read.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Key {
     pub(crate) set: u32,
-    /// Places of the set's frames in time, as `frames.csv` numbers them.
+    /// Frame indices within the set, as numbered in `frames.csv`.
     pub(crate) indices: Vec<u32>,
-    /// Range of those in the piece.
+    /// Range of these in the piece.
     pub(crate) from: usize,
     pub(crate) to: usize,
     pub(crate) before: bool,
     pub(crate) clean: bool,
-    /// Digest of the first look for a piece, of its mask for a level; the version for looks, which nothing else
-    /// decides.
+    /// Digest of the first look for a piece, of its mask for a level; for looks the version, as nothing
+    /// else affects them.
     pub(crate) under: String,
 }
 
 impl Key {
-    /// The first frames of a set, whatever they are read with.
+    /// Key of the first frames of a set, independent of read settings.
     pub(crate) fn first(dataset: &Dataset, set: &Set, frames: usize) -> Self {
         let indices: Vec<u32> = set.rows.iter().take(frames).map(|&r| dataset.rows()[r].index).collect();
         Self {
@@ -49,22 +49,22 @@ impl Key {
 
 type Table = HashMap<Key, Arc<dyn Any + Send + Sync>>;
 
-/// Statistics kept of frames: of each type one for a key. The rooms that compute them know the types.
+/// Saved statistics: for each type one value per key. The computing modules define the types.
 #[derive(Clone, Default)]
 pub struct Reduced(HashMap<TypeId, Table>);
 
 impl Reduced {
-    /// The statistics of this type.
+    /// Returns the statistics of this type.
     pub(crate) fn get<T: Any>(&self, of: &Key) -> Option<&T> {
         self.0.get(&TypeId::of::<T>())?.get(of)?.downcast_ref()
     }
 
-    /// Keeps statistics.
+    /// Adds statistics.
     pub(crate) fn add<T: Any + Send + Sync>(&mut self, of: Key, value: T) {
         self.0.entry(TypeId::of::<T>()).or_default().insert(of, Arc::new(value));
     }
 
-    /// Keeps all of another one.
+    /// Adds all statistics of another store.
     pub(crate) fn extend(&mut self, other: &Self) {
         for (of, table) in &other.0 {
             let own = self.0.entry(*of).or_default();
@@ -72,7 +72,7 @@ impl Reduced {
         }
     }
 
-    /// All statistics of this type, by their keys.
+    /// Returns all statistics of this type with their keys.
     pub(crate) fn all<T: Any + Clone>(&self) -> Vec<(Key, T)> {
         let table = self.0.get(&TypeId::of::<T>()).into_iter().flatten();
         let mut all: Vec<(Key, T)> = table

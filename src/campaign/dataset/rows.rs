@@ -1,10 +1,10 @@
-//! Rows of `frames.csv`: their reader and their checks.
+//! Rows of `frames.csv`: reader and checks.
 
 use super::{COLUMNS, CameraInfo, DatasetError, FrameRow, Kind};
 use crate::input::{echo, echo_message};
 use std::path::{Component, Path, PathBuf};
 
-/// A file's name without `.` and double separators.
+/// Normalises a file name: removes `.` and double separators.
 pub(super) fn plain_name(file: &str) -> std::borrow::Cow<'_, str> {
     if file.contains("./") || file.contains("//") || file.contains("/.") {
         let parts = file.split('/').filter(|part| !matches!(*part, "" | "."));
@@ -26,8 +26,8 @@ pub(super) fn split_page(file: &str) -> Result<(&str, usize), String> {
     }
 }
 
-/// Line numbers of the records of a CSV text, in their order: what was counted is not counted again. The
-/// reader's own count leaves out what stands between records.
+/// Line numbers of the records of a CSV text, counted incrementally. The reader's own count omits lines
+/// between records.
 pub(crate) struct Lines<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -39,7 +39,7 @@ impl<'a> Lines<'a> {
         Self { bytes: text.as_bytes(), at: 0, line: 1 }
     }
 
-    /// Line, from 1, at which the record at this position begins.
+    /// Returns the line, from 1, at which the record at this position begins.
     pub(crate) fn line_at(&mut self, position: Option<&csv::Position>) -> u64 {
         let Some(position) = position else { return 0 };
         let mut at = (position.byte() as usize).clamp(self.at, self.bytes.len());
@@ -52,7 +52,7 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// Message of a CSV reader without its place: the line stands before it.
+/// Returns the message of a CSV reader without its position, as the line is stated before it.
 pub(crate) fn csv_words(error: &csv::Error, header: &csv::StringRecord) -> String {
     match error.kind() {
         csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
@@ -84,14 +84,14 @@ pub(super) fn parse_rows(path: &Path, text: &str) -> Result<Vec<(u64, FrameRow)>
     Ok(rows)
 }
 
-/// Longest exposure, s: eleven days, as in a plan.
+/// Maximum exposure, s: eleven days, as in a plan.
 pub(crate) const MAX_EXPOSURE_S: f64 = 1e6;
-/// Largest illumination: more photons per pixel per second than the sun's surface sends.
+/// Maximum illumination: more photons per pixel per second than the sun's surface emits.
 const MAX_ILLUMINATION: f64 = 1e30;
-/// Longest campaign, s: times since any epoch fit into it.
+/// Maximum duration of a campaign, s: times since any epoch fit.
 const MAX_TIME_S: f64 = 1e12;
 
-/// Checks of one row by itself; `folders`: where files with absolute paths may lie, if they have these.
+/// Checks a single row; `folders`: folders that absolute paths may point into, if any.
 pub(super) fn check_row(row: &FrameRow, folders: &[PathBuf]) -> Result<(), String> {
     let (name, _) = split_page(&row.file)?;
     let path = Path::new(name);
@@ -123,7 +123,7 @@ pub(super) fn check_row(row: &FrameRow, folders: &[PathBuf]) -> Result<(), Strin
     CameraInfo::check_temperature(row.temperature_c)
 }
 
-/// Frames of one set share every setting.
+/// Checks that frames of one set share every setting.
 pub(super) fn same_settings(first: &FrameRow, row: &FrameRow) -> Result<(), String> {
     let differs = [
         ("kind", first.kind != row.kind),

@@ -1,13 +1,12 @@
-//! Noise that neighbours or successive frames share in all flats, and the gain without it.
+//! Noise shared by neighbours or successive frames in all flats, and the gain corrected for it.
 
 use crate::number::{Quantity, six_digits, with_unit};
 
-/// Covariances of neighbours over the variance that the noise of single pixels can have: the noise of a sum is no
-/// variance below 0, and a strong smoothing, a mean of 5 x 5
-/// pixels, has 13 among the neighbours that are counted.
+/// Possible ratio of the covariances of neighbours to the variance: the variance of a sum cannot be
+/// below 0, and strong smoothing, a mean of 5 x 5 pixels, gives 13 for the neighbours that are counted.
 const OF_PIXELS: std::ops::RangeInclusive<f64> = -1.0..=18.0;
 
-/// Pixels or frames.
+/// Direction of the correlation: pixels or frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Between {
     /// Neighbouring pixels.
@@ -16,24 +15,24 @@ pub(crate) enum Between {
     Frames,
 }
 
-/// Noise that is shared.
+/// Shared noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct SharedNoise {
     pub between: Between,
-    /// Its covariances over the variance that is measured; below 0 after sharpening. Of frames the least that
-    /// a filter over time makes.
+    /// Covariances relative to the measured variance; below 0 after sharpening. For frames the minimum
+    /// that a temporal filter causes.
     pub rel: f64,
-    /// Its standard error.
+    /// Standard error of the ratio.
     pub std_err: f64,
 }
 
 impl SharedNoise {
-    /// Its share of the variance that is measured.
+    /// Returns the share of the measured variance.
     pub(crate) fn quantity(&self) -> Quantity {
         Quantity::new(self.rel, self.std_err, "1")
     }
 
-    /// Size and cause, and the gain without it, in words.
+    /// Describes size and cause, and the corrected gain.
     pub(crate) fn in_words(&self, gain: f64, std_err: f64) -> String {
         let (what, at_least) = match self.between {
             Between::Frames => (

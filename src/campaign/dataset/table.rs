@@ -1,11 +1,11 @@
-//! A table of statistics instead of frames: many laboratories keep only that.
+//! Table of statistics instead of frames: many laboratories keep nothing else.
 
 use super::{DatasetError, Lines, csv_words};
 use crate::input::{self, echo};
 use serde::Deserialize;
 use std::path::Path;
 
-/// One row: a level of light, black level removed.
+/// Row of the table: one light level, black level subtracted.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 pub struct Level {
     /// Mean above the black level, DN.
@@ -18,13 +18,13 @@ pub struct Level {
     /// Illumination.
     #[serde(default)]
     pub illumination: Option<f64>,
-    /// Number of the light source, whose strength is not known and stays as it is.
+    /// Number of the light source, whose strength is unknown but constant.
     #[serde(default)]
     pub lamp: Option<u32>,
-    /// Reading of a light monitor, in a unit of its own.
+    /// Reading of a light monitor, in its own unit.
     #[serde(default)]
     pub monitor: Option<f64>,
-    /// Pixels behind the variance.
+    /// Number of pixels behind the variance.
     #[serde(default)]
     pub pixels: Option<f64>,
     /// Covariance with the next pixel of the same row, DN^2.
@@ -38,15 +38,15 @@ pub struct Level {
     pub cov_11: Option<f64>,
 }
 
-/// A table of statistics.
+/// Table of statistics.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Table {
-    /// Its rows, in the order of the file.
+    /// Rows in file order.
     pub levels: Vec<Level>,
 }
 
 impl Table {
-    /// Whether a file's first line that is not a comment looks like the header of a table.
+    /// Returns true if the first line that is not a comment looks like the header of a table.
     pub fn is_table(path: &Path) -> bool {
         let named = |h: &str| {
             let columns = h.split([',', ';', '\t']).map(|c| c.trim().trim_matches('"'));
@@ -56,18 +56,17 @@ impl Table {
         is_text && input::table(path).is_ok_and(|text| header(&text).is_some_and(named))
     }
 
-    /// Reads a table. Lines that begin with `#` are comments; columns that are not known are passed over.
+    /// Reads a table. Lines that begin with `#` are comments; unknown columns are ignored.
     ///
     /// # Errors
     ///
-    /// Where the file cannot be read, or a line is no row: its number and what is wrong.
+    /// The file cannot be read, or a line is not a row: its number and fault.
     pub fn open(path: &Path) -> Result<Self, DatasetError> {
         let text = super::text(path)?;
         Self::parse(&text).map_err(|(line, message)| DatasetError::Row { path: path.into(), line, message })
     }
 
-    /// Rows that are another row once more, as (row, the first like it) from 0: measured twice, two rows
-    /// differ.
+    /// Finds duplicate rows, as (row, first equal row) from 0: two real measurements differ.
     pub fn copies(&self) -> Vec<(usize, usize)> {
         let mut seen = std::collections::HashMap::new();
         let key = |l: &Level| {
@@ -125,7 +124,7 @@ impl Table {
     }
 }
 
-/// Refuses optional values that cannot be.
+/// Refuses impossible optional values.
 fn check_level(level: &Level) -> Result<(), String> {
     if let Some(e) = level.exposure_s.filter(|e| !(e.is_finite() && *e > 0.0)) {
         return Err(format!("exposure_s is {e}, and must be above 0 s"));
@@ -146,16 +145,16 @@ fn check_level(level: &Level) -> Result<(), String> {
     Ok(())
 }
 
-/// Byte order mark that spreadsheets put in front of UTF-8.
+/// Byte order mark that spreadsheets write before UTF-8.
 const BOM: char = '\u{feff}';
 
-/// The first line that is no comment.
+/// Returns the first line that is not a comment.
 fn header(text: &str) -> Option<&str> {
     let text = text.strip_prefix(BOM).unwrap_or(text);
     text.lines().find(|l| !l.starts_with('#') && !l.trim().is_empty())
 }
 
-/// Sign between columns: spreadsheets write semicolons where the comma is the decimal sign.
+/// Returns the column separator: spreadsheets write semicolons if the comma is the decimal sign.
 pub(crate) fn delimiter(header: &str) -> u8 {
     let count = |c: char| header.matches(c).count();
     match (count(';'), count('\t'), count(',')) {
@@ -165,8 +164,8 @@ pub(crate) fn delimiter(header: &str) -> u8 {
     }
 }
 
-/// Records with decimal points. A comma is the decimal sign where a column is separated otherwise or quoted;
-/// where every number with a comma may have groups of thousands as well, nobody knows.
+/// Converts records to decimal points. A comma is the decimal sign if columns are separated otherwise or
+/// quoted; if every number with a comma could also have thousands groups, the meaning is ambiguous.
 fn with_points(
     records: Vec<(u64, csv::StringRecord)>,
     header: &csv::StringRecord,

@@ -1,7 +1,7 @@
-//! Writing a campaign so that a crash loses at most the frame in flight.
+//! Campaign writer: a crash loses at most the frame in flight.
 //!
-//! A frame is written aside, synchronised, renamed, and only then is its row appended and synchronised. The
-//! folder is locked while it is written to.
+//! A frame is written to a temporary file, synced and renamed; then its row is appended and synced. The
+//! folder is locked during writing.
 
 use super::tag::FrameTag;
 use super::{COLUMNS, CameraInfo, Dataset, DatasetError, FrameRow, Manifest, image};
@@ -13,31 +13,31 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use tiff::encoder::colortype::{Gray8, Gray16};
 
-/// An open campaign.
+/// Open campaign.
 #[derive(Debug)]
 pub struct Writer {
     root: PathBuf,
     rows: File,
     camera: CameraInfo,
     written: Vec<FrameRow>,
-    /// Last, so that it is dropped last.
+    /// Last field, so that it is dropped last.
     _held: Folder,
 }
 
-/// What the names of unfinished files begin with.
+/// Prefix of temporary files.
 const ASIDE: &str = ".radcam-";
 
-/// Folder of a campaign, held for one writer until this is dropped. A folder that was made for it and stayed
-/// empty is removed.
+/// Folder of a campaign, locked for one writer until dropped. A newly created folder that stayed empty
+/// is removed.
 #[derive(Debug)]
 pub struct Folder(#[allow(dead_code)] Held); // held, not read
 
 impl Folder {
-    /// Makes the folder where there is none, and keeps other writers out.
+    /// Creates the folder if it does not exist, and locks it.
     ///
     /// # Errors
     ///
-    /// Another program writes there, or the path is a link or cannot be made.
+    /// Another program writes there, or the path is a link or cannot be created.
     pub fn hold(root: &Path) -> Result<Self, DatasetError> {
         Held::take(root).map(Self).map_err(|e| match e {
             HoldError::Busy => busy(root),
@@ -45,18 +45,18 @@ impl Folder {
         })
     }
 
-    /// A hold on a folder that is there.
+    /// Locks an existing folder.
     ///
     /// # Errors
     ///
-    /// As [`hold`](Self::hold), and where there is no such folder.
+    /// As [`hold`](Self::hold), and if the folder does not exist.
     pub fn existing(root: &Path) -> Result<Self, DatasetError> {
         fs::metadata(root).map_err(DatasetError::io(root))?;
         Self::hold(root)
     }
 
-    /// Refuses a folder that holds more than the beginnings of a campaign that never got its manifest;
-    /// `beside` are names of further files.
+    /// Refuses a folder that holds more than an unfinished start (a campaign that never got its
+    /// manifest); `beside` are names of further allowed files.
     pub(crate) fn must_be_free(&self, root: &Path, beside: &[&str]) -> Result<(), DatasetError> {
         if unfinished_start(root, beside).map_err(DatasetError::io(root))? {
             return Ok(());
@@ -71,18 +71,18 @@ fn busy(root: &Path) -> DatasetError {
     DatasetError::Manifest { path: root.into(), message }
 }
 
-/// Writes a whole file aside, synchronises it and puts it in place: it is there whole or not at all.
+/// Writes a whole file by atomic rename: temporary file, sync, rename.
 ///
 /// # Errors
 ///
-/// The path is a link, device, FIFO, socket or folder, or the file cannot be written; nothing of it is left
-/// then.
+/// The path is a link, device, FIFO, socket or folder, or the file cannot be written; nothing of it is
+/// left then.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
     Aside::write(path, bytes)?.put_in_place()?;
     synchronise(folder_of(path))
 }
 
-/// A file that is written aside, and perhaps not on the disk yet. It is removed where it is dropped.
+/// Temporary file, possibly not yet synced. Deleted on drop unless persisted.
 #[derive(Debug)]
 pub(crate) struct Aside {
     file: tempfile::NamedTempFile,
@@ -90,11 +90,11 @@ pub(crate) struct Aside {
 }
 
 impl Aside {
-    /// Writes a file that is to lie at `path`.
+    /// Writes the temporary file for `path`.
     pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<Self, DatasetError> {
         let write = || {
             output::must_be_file_or_new(path)?;
-            // Readable as any new file is, not by its owner alone.
+            // Default permissions of a new file, instead of owner-only.
             let mut aside = tempfile::Builder::new();
             aside.prefix(ASIDE);
             #[cfg(unix)]
@@ -106,7 +106,7 @@ impl Aside {
         write().map_err(DatasetError::io(path))
     }
 
-    /// Synchronises it and gives it its name; what the folder holds is on the disk after [`synchronise`].
+    /// Syncs and renames the file; the directory entry is durable only after [`synchronise`].
     pub(crate) fn put_in_place(self) -> Result<(), DatasetError> {
         let Self { file, path } = self;
         let place = || {
@@ -119,7 +119,7 @@ impl Aside {
     }
 }
 
-/// Brings the names in a folder to the disk.
+/// Syncs the directory entries of a folder.
 pub(crate) fn synchronise(folder: &Path) -> Result<(), DatasetError> {
     output::synchronise(folder).map_err(DatasetError::io(folder))
 }
@@ -128,13 +128,13 @@ fn name(number: usize) -> String {
     format!("frames/{number:05}.tiff")
 }
 
-/// Makes the folder of the frames where there is none.
+/// Creates the folder of the frames if it does not exist.
 fn frames_folder(root: &Path) -> Result<(), DatasetError> {
     let path = root.join("frames");
     output::folder(&path).map_err(DatasetError::io(&path))
 }
 
-/// Opens `frames.csv` for appending, and keeps other programs out while it is open.
+/// Opens `frames.csv` for appending, and locks it while it is open.
 fn lock(root: &Path) -> Result<File, DatasetError> {
     let path = root.join("frames.csv");
     let rows = output::append(&path, false).map_err(DatasetError::io(&path))?;
@@ -142,7 +142,7 @@ fn lock(root: &Path) -> Result<File, DatasetError> {
     Ok(rows)
 }
 
-/// Removes what a killed program left; nobody else writes here while the folder is locked.
+/// Removes leftovers of an interrupted run. Safe because the folder lock is held.
 fn remove_leftovers(root: &Path) -> Result<(), DatasetError> {
     for folder in [root, &root.join("frames")] {
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();
@@ -153,7 +153,7 @@ fn remove_leftovers(root: &Path) -> Result<(), DatasetError> {
     Ok(())
 }
 
-/// Whether a folder holds nothing but the beginnings of a campaign that never got its manifest.
+/// Returns true if a folder holds only an unfinished start: a campaign that never got its manifest.
 fn unfinished_start(root: &Path, beside: &[&str]) -> std::io::Result<bool> {
     for entry in fs::read_dir(root)? {
         let entry = entry?;
@@ -171,19 +171,19 @@ fn unfinished_start(root: &Path, beside: &[&str]) -> std::io::Result<bool> {
 }
 
 impl Writer {
-    /// Starts a campaign in a folder that is new or empty.
+    /// Starts a campaign in a new or empty folder.
     ///
-    /// `beside` are further files, by name. The manifest comes last: a folder without one is no campaign yet
-    /// and may be started again.
+    /// `beside` are further files, by name. The manifest is written last: a folder without one is not
+    /// yet a campaign and can be started again.
     ///
     /// # Errors
     ///
-    /// Where the folder is not empty or cannot be written.
+    /// The folder is not empty or cannot be written.
     pub fn create(root: &Path, manifest: &Manifest, beside: &[(&str, &str)]) -> Result<Self, DatasetError> {
         Self::create_in(Folder::hold(root)?, root, manifest, beside)
     }
 
-    /// Creates it in a folder that is held already; see [`Self::create`].
+    /// As [`Self::create`], in a folder that is already locked.
     pub(crate) fn create_in(
         held: Folder,
         root: &Path,
@@ -207,19 +207,19 @@ impl Writer {
         Ok(Self { root: root.into(), rows, camera, written: Vec::new(), _held: held })
     }
 
-    /// Continues a campaign. A last row that a crash cut short is taken off; every whole row is kept.
+    /// Continues a campaign. A last row truncated by a crash is removed; every complete row is kept.
     ///
     /// # Errors
     ///
-    /// Where the folder is no dataset, a frame of it cannot be read, or another program writes to it.
+    /// The folder is not a dataset, a frame cannot be read, or another program writes to it.
     pub fn resume(root: &Path) -> Result<(Self, Manifest), DatasetError> {
         Self::resume_in(Folder::existing(root)?, root)
     }
 
-    /// Continues it in a folder that is held already; see [`Self::resume`].
+    /// As [`Self::resume`], in a folder that is already locked.
     pub(crate) fn resume_in(held: Folder, root: &Path) -> Result<(Self, Manifest), DatasetError> {
         let path = root.join("frames.csv");
-        // First the lock: another program may be in the middle of a row.
+        // Lock first: another program may be in the middle of a row.
         let rows = lock(root)?;
         frames_folder(root)?;
         let text = input::bytes(&path).map_err(DatasetError::io(&path))?;
@@ -240,16 +240,16 @@ impl Writer {
         Ok((writer, manifest))
     }
 
-    /// Rows that are safely on disk.
+    /// Returns the rows that are safely on disk.
     pub fn written(&self) -> &[FrameRow] {
         &self.written
     }
 
-    /// Appends a frame. `row.file` is given a name of the writer's choice.
+    /// Appends a frame. The writer chooses the name in `row.file`.
     ///
     /// # Errors
     ///
-    /// Where the frame cannot be written; the campaign stays as it was.
+    /// The frame cannot be written; the campaign is unchanged.
     pub fn append(&mut self, mut row: FrameRow, pixels: &Array2<u16>) -> Result<(), DatasetError> {
         row.file = name(self.written.len());
         let fault = |message: String| DatasetError::Frame {
@@ -266,8 +266,8 @@ impl Writer {
             image::described_bytes::<Gray16>(pixels.view(), &text)
         }
         .map_err(|e| fault(e.to_string()))?;
-        // A frame whose row a crash has cut off keeps its name; where it is this very frame, drawn again, it
-        // is the one.
+        // A frame whose row was lost in a crash keeps its file; if the new frame is identical (simulated
+        // again), that file is reused.
         let mut number = self.written.len();
         let there = loop {
             match input::bytes(&self.root.join(name(number))) {
@@ -360,7 +360,7 @@ mod tests {
         assert!(second.contains("another program"), "{second}");
         drop(writer);
 
-        // The crash: a frame without a row, and half a row.
+        // Simulated crash: a frame without a row, and half a row.
         fs::write(root.join("frames/00003.tiff"), b"II*").unwrap();
         let mut csv = OpenOptions::new().append(true).open(root.join("frames.csv")).unwrap();
         csv.write_all(b"frames/00003.ti").unwrap();
@@ -374,7 +374,7 @@ mod tests {
         assert_eq!(dataset.read_set(&dataset.sets()[0]).unwrap()[3], image);
         let rubbish = fs::read(root.join("frames/00003.tiff")).unwrap();
         assert_eq!(rubbish, b"II*", "a frame without a row is left as it is");
-        // A start that never got its manifest may be made again; anything else in the folder may not.
+        // An unfinished start may be restarted; any other contents may not.
         let early = dir.path().join("early");
         fs::create_dir_all(early.join("frames")).unwrap();
         fs::write(early.join("plan.toml"), "x").unwrap();

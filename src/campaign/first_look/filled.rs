@@ -1,14 +1,15 @@
-//! Pixels that the camera fills in from their neighbours: its correction of defects.
+//! Pixels interpolated by the camera from their neighbours: in-camera defect correction.
 //!
-//! Such a pixel has no noise of its own, and shares that of its neighbours: in the mean over the image that is
-//! what a weak filter does. From frame to frame it changes as the mean of those neighbours does, to within
-//! rounding, and no other pixel does so frame after frame.
+//! Such a pixel has no noise of its own, and shares that of its neighbours; in the mean over the image
+//! this looks like a weak filter. From frame to frame it changes as the mean of those neighbours does,
+//! to within rounding, and no other pixel does so frame after frame.
 
 use ndarray::Array2;
 use std::borrow::Borrow;
 
-/// Neighbours whose mean fills a defect in, (row, column) from it: those in the row, in the column, all four, all
-/// eight, and copies of one: of two that are alike the first is taken for the copy, and the other counts.
+/// Interpolation kernels, (row, column) from the defect pixel: neighbours in the row, in the column, all
+/// four, all eight, and copies of one neighbour. Of two equal pixels the first is taken for the copy and
+/// the other is used.
 const KERNELS: [&[(isize, isize)]; 6] = [
     &[(0, -1), (0, 1)],
     &[(-1, 0), (1, 0)],
@@ -17,18 +18,19 @@ const KERNELS: [&[(isize, isize)]; 6] = [
     &[(0, 1)],
     &[(1, 0)],
 ];
-/// Temporal variance from which on chance does not do it, DN^2: of normal noise a difference of two frames then
-/// lies within rounding at one in fourteen pixels, and in all differences of four frames and two sets at one in
-/// ten million.
+/// Minimum temporal variance at which coincidence is excluded, DN^2: for normal noise a difference of
+/// two frames lies within rounding at one pixel in fourteen, and all differences of four frames and two
+/// sets at one in ten million.
 pub const LEAST_VAR_DN2: f64 = 40.0;
-/// Level from which on, as a share of full scale: some sets are enough.
+/// Minimum level, relative to full scale: some sets suffice.
 pub const LEAST_LEVEL: f64 = 0.25;
-/// Sets that are looked at, and frames of each at least.
+/// Number of sets examined, and minimum number of frames of each.
 pub const SETS: (usize, usize) = (4, 4);
-/// Beyond this share of the pixels it is no correction of defects: the image is smoothed.
+/// Maximum fraction of pixels under defect correction: beyond, the image is smoothed.
 const MOST: f64 = 0.05;
 
-/// Pixels whose changes from frame to frame are those of the mean of some neighbours, to within a code.
+/// Finds pixels whose changes from frame to frame equal those of the mean of some neighbours, to within
+/// a code.
 pub fn candidates<F: Borrow<Array2<u16>>>(frames: &[F]) -> Vec<usize> {
     let Some(first) = frames.first().map(F::borrow) else { return Vec::new() };
     let (rows, columns) = first.dim();
@@ -42,7 +44,7 @@ pub fn candidates<F: Borrow<Array2<u16>>>(frames: &[F]) -> Vec<usize> {
         .map(|w| w[0].iter().zip(w[1]).map(|(a, b)| i32::from(*b) - i32::from(*a)).collect())
         .collect();
     let mut found = Vec::new();
-    // Two changes leave a few pixels of a hundred, which are looked at one by one.
+    // Two changes leave a few per cent of the pixels, which are then examined one by one.
     let (mut off, mut near) = (vec![0i32; columns - 2], vec![0u8; columns - 2]);
     for y in 1..rows - 1 {
         let from = y * columns + 1;
@@ -70,7 +72,7 @@ pub fn candidates<F: Borrow<Array2<u16>>>(frames: &[F]) -> Vec<usize> {
                 .iter()
                 .enumerate()
                 .any(|(bit, kernel)| near >> bit & 1 == 1 && changes.iter().all(|c| follows(kernel, c)));
-            // A pixel that does not change at all is dead, and is left out elsewhere.
+            // A pixel that never changes is dead, and is excluded elsewhere.
             if is_filled && changes.iter().any(|c| c[i] != 0) {
                 found.push(i);
             }
@@ -79,7 +81,7 @@ pub fn candidates<F: Borrow<Array2<u16>>>(frames: &[F]) -> Vec<usize> {
     found
 }
 
-/// Pixels that every set that was looked at shows to be filled in.
+/// Returns the pixels found in every examined set.
 pub fn of_sets(sets: &[&[usize]], pixels: usize) -> Vec<usize> {
     let [first, others @ ..] = sets else { return Vec::new() };
     if others.is_empty() {
@@ -95,8 +97,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Of two sets of 8 frames of 128 x 96 pixels with a deviation of 8 DN: pixels that are filled in by each
-    /// kernel are found, whole; of others none, nor where all is smoothed.
+    /// Two sets of 8 frames of 128 x 96 pixels with a standard deviation of 8 DN: all pixels filled in
+    /// by each kernel are found, and no others; none are found if everything is smoothed.
     #[test]
     fn filled_pixels_are_found_and_no_others() {
         let (rows, columns) = (96usize, 128usize);
@@ -119,7 +121,7 @@ mod tests {
         let set = |first: u64, fill: bool, smooth: bool| -> Vec<usize> {
             let frames: Vec<Array2<u16>> = (first..first + 8)
                 .map(|n| {
-                    // A smoothed frame has a third of the deviation.
+                    // Smoothing reduces the standard deviation to a third.
                     let raw = frame(n, if smooth { 30.0 } else { 8.0 });
                     let mut out = raw.clone();
                     for (k, i) in places.iter().enumerate().filter(|_| fill) {
@@ -140,7 +142,7 @@ mod tests {
             of_sets(&[&sets[0], &sets[1]], rows * columns)
         };
         assert_eq!(found(true, false), places);
-        // The pixel that is smoothed last is the mean of neighbours that are final.
+        // The last smoothed pixel is the mean of neighbours that are already final.
         assert_eq!((found(false, false).len(), found(false, true).len()), (0, 1));
     }
 }

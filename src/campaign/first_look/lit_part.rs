@@ -1,6 +1,6 @@
-//! The part of the frames that gets light, where others get none: optically black and overscan columns and rows,
-//! what lies outside of the image circle of a lens. Statistics of whole rows and columns need lines of equal
-//! pixels.
+//! Illuminated region of the frames, if other parts get no light: optically black and overscan columns
+//! and rows, or the area outside the image circle of a lens. Statistics of whole rows and columns need
+//! lines of equal pixels.
 
 use crate::data_faults::ExamineError;
 use crate::dataset::{Dataset, Kind, Region, Set};
@@ -8,31 +8,32 @@ use crate::statistics::lit::Lit;
 use ndarray::Array2;
 use std::collections::BTreeMap;
 
-/// Share of the light's level below which a pixel of a lit part has none to speak of (a named choice: lenses
-/// leave more in the corners of the part that they are made for).
+/// Maximum signal of an unlit pixel, relative to the light level (a named choice: lenses leave more in
+/// the corners of the area that they are designed for).
 const MIN_LIGHT: f32 = 0.3;
-/// Level of the light from which on the noise of single pixels is far below a third of it, DN (a named choice).
-const MIN_LEVEL_DN: f32 = 64.0;
-/// Pixels that tell whether there are dark ones at all.
-const SAMPLE: usize = 40_000;
-/// Share of the samples of a flat at full scale up to which it tells the light.
-const MAX_FULL: f64 = 0.01;
-/// Least share of the lit pixels that a rectangle holds: the square in a circle has 2/pi = 0.64 of it (a named
+/// Minimum light level at which the noise of single pixels is far below a third of it, DN (a named
 /// choice).
+const MIN_LEVEL_DN: f32 = 64.0;
+/// Number of pixels sampled to detect dark ones.
+const SAMPLE: usize = 40_000;
+/// Maximum fraction of a flat's samples at full scale at which it shows the light.
+const MAX_FULL: f64 = 0.01;
+/// Minimum fraction of the lit pixels inside the rectangle: the square in a circle has 2/pi = 0.64 of it
+/// (a named choice).
 const MIN_KEPT: f64 = 0.6;
-/// Share of the pixels without light from which on these are left out by place: single ones are defect pixels.
+/// Minimum fraction of unlit pixels that are excluded by region: single ones are defect pixels.
 const MIN_BLIND: f64 = 0.005;
-/// Least side of a part that is looked at, pixels.
+/// Minimum side of an examined region, pixels.
 const MIN_SIDE: usize = 16;
-/// Frames of a set whose mean is looked at.
+/// Number of frames of a set that are averaged.
 const FRAMES: usize = 2;
 
-/// The dataset cut to the part that gets light, and words for it; `None` where all pixels get light, where too
-/// little tells, and for statistics whose frames are not read again.
+/// Returns the dataset cut to the illuminated region, and a description; `None` if all pixels get light,
+/// if the data do not suffice, and for statistics whose frames are not read again.
 ///
 /// # Errors
 ///
-/// Which frame cannot be read.
+/// A frame cannot be read.
 pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, ExamineError> {
     if dataset.reduced().is_some() {
         return Ok(None);
@@ -55,7 +56,7 @@ pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, E
     };
     let mut flats: Vec<&Set> = of_kind(Kind::Flat).collect();
     flats.sort_by(|a, b| light(b).total_cmp(&light(a)));
-    // Each position of card and light has its field: what none of them leaves in the dark is lit.
+    // Each position of card and light has its own field: a pixel lit in any of them is lit.
     let mut all: BTreeMap<u32, Option<Lit>> = BTreeMap::new();
     for set in flats {
         let settings = dataset.settings(set);
@@ -75,7 +76,7 @@ pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, E
         let closer_look = !is_full(&dark) && has_dark_part(&signal);
         all.insert(settings.configuration, closer_look.then(|| Lit::above(&[signal], MIN_LIGHT)));
     }
-    // A field that lights all of the sensor leaves no pixel in the dark.
+    // A field that lights the whole sensor leaves no pixel dark.
     let Some(found) = all.into_values().collect::<Option<Vec<Lit>>>().and_then(in_all) else {
         return Ok(None);
     };
@@ -108,7 +109,7 @@ pub(crate) fn lit_part(dataset: &Dataset) -> Result<Option<(Dataset, String)>, E
     Ok(dataset.cut_to(region).map(|part| (part, words)))
 }
 
-/// Pixels that are dark in every field, and those that are lit in one.
+/// Combines fields: pixels dark in every field, and pixels lit in at least one.
 fn in_all(fields: Vec<Lit>) -> Option<Lit> {
     fields.into_iter().reduce(|mut all, own| {
         all.blind.zip_mut_with(&own.blind, |blind, own| *blind &= own);
@@ -118,7 +119,7 @@ fn in_all(fields: Vec<Lit>) -> Option<Lit> {
     })
 }
 
-/// Looks at a sample of the pixels: true where enough are dark for a closer look.
+/// Returns true if a sample of the pixels contains enough dark ones for a full examination.
 fn has_dark_part(signal: &Array2<f32>) -> bool {
     let mut sample: Vec<f32> = signal.iter().copied().step_by((signal.len() / SAMPLE).max(1)).collect();
     if sample.is_empty() {
@@ -130,18 +131,18 @@ fn has_dark_part(signal: &Array2<f32>) -> bool {
     dark as f64 > MIN_BLIND * sample.len() as f64
 }
 
-/// The largest rectangle without blind pixels: of every row the widest below the heights that the rows above
-/// leave.
+/// Finds the largest rectangle without blind pixels: for every row the widest under the column heights
+/// so far.
 fn largest_without(blind: &Array2<bool>) -> Region {
     let (rows, columns) = blind.dim();
     let mut best = Region { rows: 0..0, columns: 0..0 };
-    // Rows without a blind pixel above each column, this one included.
+    // Number of consecutive rows without a blind pixel up to this one, per column.
     let mut heights = vec![0usize; columns];
     for y in 0..rows {
         for (x, height) in heights.iter_mut().enumerate() {
             *height = if blind[(y, x)] { 0 } else { *height + 1 };
         }
-        // First columns and heights of the rectangles that are open, of growing height.
+        // First columns and heights of the open rectangles, in increasing height.
         let mut open: Vec<(usize, usize)> = Vec::new();
         for x in 0..=columns {
             let height = heights.get(x).copied().unwrap_or(0);
@@ -168,7 +169,7 @@ mod tests {
         let off = |y: usize, x: usize| (y as f64 - 49.5).hypot(x as f64 - 59.5);
         let circle = Array2::from_shape_fn((100, 120), |(y, x)| off(y, x) > 45.0);
         let found = largest_without(&circle);
-        // The square in a circle has 2 r^2; rows and columns are whole.
+        // The square in a circle has area 2 r^2; rows and columns are integers.
         let square = 2.0 * 45.0f64.powi(2);
         assert!((found.pixels() as f64 / square - 1.0).abs() < 0.03, "{found:?}");
         let inside = circle.slice(ndarray::s![found.rows, found.columns]);

@@ -1,5 +1,5 @@
-//! The first look at a campaign: at most eight frames of each set tell which pixels count, the level of the
-//! darks, and how frames usually scatter.
+//! First look at a campaign: at most eight frames of each set determine the usable pixels, the dark
+//! level, and the usual scatter of frames.
 
 pub mod filled;
 mod lit_part;
@@ -18,39 +18,40 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 pub(crate) use lit_part::lit_part;
 
-/// Frames of a set that the first look reads.
+/// Number of frames per set that the first look reads.
 pub(crate) const FIRST: usize = 8;
 
-/// Standard deviations of a pixel's noise within which full scale cuts it off.
+/// Distance to full scale, in standard deviations of a pixel's noise, at which the pixel is clipped.
 const REACH: f64 = 3.0;
 
-/// Minimum noise of jumping pixels, over that of others (a named choice).
+/// Minimum noise of jumping pixels, relative to other pixels (a named choice).
 const JUMPS: f64 = 8.0;
-/// Maximum offset of their mean, over their noise (a named choice: a jump in 9 of 10 frames lies 3 off).
+/// Maximum offset of their mean, relative to their noise (a named choice: a jump in 9 of 10 frames lies
+/// 3 off).
 const OFF: f64 = 3.0;
-/// Minimum frames of a dark set that tell the noise of a pixel.
+/// Minimum number of frames of a dark set that determines the noise of a pixel.
 const JUMPING_FRAMES: usize = 4;
-/// Signal of blind pixels, of that of the others, at most: covered columns, dead pixels, what lies outside of
+/// Maximum signal of blind pixels, relative to the others: covered columns, dead pixels, area outside
 /// the image circle (a named choice).
 const BLIND: f64 = 0.1;
-/// Median of the flats that tell blind pixels, of full scale, at least.
+/// Minimum median of flats that reveal blind pixels, relative to full scale.
 const TELLS_BLIND: f64 = 0.1;
 
-/// Smallest deviation of a dim defect pixel from its neighbours, relative to their level: ten times a
+/// Minimum deviation of a dim defect pixel from its neighbours, relative to their level: ten times a
 /// usual PRNU (a named choice).
 const MIN_DIM_REL: f64 = 0.2;
-/// Smallest deviation in standard errors of its mean.
+/// Minimum deviation in standard errors of its mean.
 const MIN_DIM_SIGMAS: f64 = 6.0;
 
-/// What the first frames of a set show.
+/// Findings from the first frames of a set.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Look {
-    /// Pixels at full scale, or so near that their noise reaches it.
+    /// Pixels at full scale, or so close that their noise reaches it.
     clipped: Vec<usize>,
-    /// True where these are 2 % of the pixels or more: the set is clipped.
+    /// True if these are 2 % of the pixels or more: the set is clipped.
     #[serde(default)]
     pub(crate) saturated: bool,
-    /// Pixels of a dark set that jump: noise far above that of others, and a mean no further off than that
+    /// Jumping pixels of a dark set: noise far above that of others, and a mean no further off than that
     /// noise.
     #[serde(default)]
     jumping: Vec<usize>,
@@ -67,23 +68,23 @@ pub struct Look {
     /// Median of a flat set's pixels, DN.
     #[serde(default)]
     level_dn: Option<f32>,
-    /// Pixels that seem to be filled in from their neighbours, where that was looked for.
+    /// Pixels that appear to be interpolated from their neighbours, if that was examined.
     #[serde(default)]
     filled: Option<Vec<usize>>,
-    /// Code below which one in two hundred samples of the first frame of a dark set lies.
+    /// 0.5 % quantile of the samples of the first frame of a dark set, as a code.
     #[serde(default)]
     darkest: Option<u16>,
-    /// How far the frames lie from each other; whether they are dark.
+    /// Distances of the frames from each other, and true for a dark set.
     pub(crate) apart: Option<(bool, outliers::Apart)>,
 }
 
 impl Look {
-    /// Temporal variance of the first two frames, DN^2.
+    /// Returns the temporal variance of the first two frames, DN^2.
     pub(crate) fn var_dn2(&self) -> Option<f64> {
         self.pair.map(|pair| pair.1)
     }
 
-    /// Whether it can be of frames of (rows, columns).
+    /// Returns true if it is consistent with frames of (rows, columns).
     pub fn fits(&self, shape: (usize, usize)) -> bool {
         let low = self.low.iter().map(|(i, _)| i);
         let pixels = self.clipped.iter().chain(&self.jumping).chain(self.filled.iter().flatten());
@@ -118,10 +119,10 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
     if let [a, b, ..] = block.as_slice() {
         out.pair = Some(pair(a, b, full));
     }
-    // Pixels whose noise reaches full scale are left out by their mean. Selection by a high sample would leave
-    // pixels of low noise; the mean of normal noise is independent of its variance.
+    // Pixels whose noise reaches full scale are excluded by their mean. Selection by a high sample would
+    // favour pixels of low noise; the mean of normal noise is independent of its variance.
     let reach = match (out.pair, block.as_slice()) {
-        // Rows that one frame lost are no noise of the pixels.
+        // Rows lost in one frame are not pixel noise.
         (Some((_, var)), [a, b, ..]) => REACH * var.max(0.0).min(TAILS * usual_var(a, b)).sqrt(),
         _ => 0.0,
     };
@@ -163,20 +164,20 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
     Ok(out)
 }
 
-/// Share of the pixels up to which those at full scale are listed (a named choice): beyond, a set says nothing of
-/// single pixels, and a list takes memory.
+/// Maximum fraction of pixels at full scale that are listed (a named choice): beyond, a set gives no
+/// information on single pixels, and a list takes memory.
 const MAX_LISTED: f64 = 0.05;
 
-/// Returns true if so many pixels at full scale make a saturated set of all.
+/// Returns true if the number of pixels at full scale makes the set saturated.
 fn is_saturated(clipped: usize, pixels: usize) -> bool {
     clipped * 50 >= pixels.max(1)
 }
 
-/// Takes pixels that are at full scale in the darks too, columns that are stuck there, for defects: they saturate
-/// no set. Saturated sets then list none.
+/// Treats pixels that are at full scale in the darks too, such as stuck columns, as defects: they do not
+/// make a set saturated. Saturated sets then list none.
 fn without_stuck(looks: &mut [Look], pixels: usize) {
     let measured = || looks.iter().filter(|l| l.apart.is_some());
-    // A dark whose pixels are not listed tells nothing of single ones.
+    // A dark without a pixel list gives no information on single pixels.
     let is_dark = |l: &&Look| l.dark.is_some() && !(l.saturated && l.clipped.is_empty());
     let mut darks = measured().filter(is_dark);
     let mut stuck = darks.next().map(|l| l.clipped.clone()).unwrap_or_default();
@@ -191,15 +192,16 @@ fn without_stuck(looks: &mut [Look], pixels: usize) {
     }
 }
 
-/// Largest distance of the converter's top code from full scale, of full scale: steps of codes, a black level
-/// that is taken off, and digital gain leave the last ones out (a named choice).
+/// Maximum distance of the converter's top code from full scale, relative to full scale: code steps, a
+/// subtracted black level, and digital gain leave the last codes unused (a named choice).
 const TOP: f64 = 1.0 / 64.0;
-/// Smallest share of the pixels that pile up at the top code.
+/// Minimum fraction of the pixels that pile up at the top code.
 const PILE: f64 = 1e-3;
-/// Smallest number of pixels at the top code over that at the next one below: noise of any kind falls off there.
+/// Minimum ratio of the pixels at the top code to those at the next one below: noise of any kind falls
+/// off there.
 const ABOVE_NEXT: usize = 5;
 
-/// The code at which a frame piles up, a little below full scale.
+/// Finds the code, a little below full scale, at which a frame piles up.
 fn top_code(frame: &Array2<u16>, full: u16) -> Option<u16> {
     let top = *frame.iter().max()?;
     if top >= full || f64::from(top) < f64::from(full) * (1.0 - TOP) {
@@ -211,9 +213,9 @@ fn top_code(frame: &Array2<u16>, full: u16) -> Option<u16> {
     (at_top as f64 >= PILE * frame.len() as f64 && at_top >= ABOVE_NEXT * at_next.max(1)).then_some(top)
 }
 
-/// Finds pixels that jump between levels. Their means lie off as those of hot pixels do: a jump A in a share p
-/// of the frames moves the mean by p A and has noise sqrt(p (1 - p)) A. The shot noise of a hot pixel is far
-/// below its offset.
+/// Finds pixels that jump between levels. Their means are offset like those of hot pixels: a jump A in a
+/// fraction p of the frames moves the mean by p A and has noise sqrt(p (1 - p)) A. The shot noise of a
+/// hot pixel is far below its offset.
 fn jumping(dark: &Array2<f32>, block: &[Arc<Array2<u16>>], usual_dn2: f64) -> Vec<usize> {
     if block.len() < JUMPING_FRAMES {
         return Vec::new();
@@ -234,14 +236,14 @@ fn jumping(dark: &Array2<f32>, block: &[Arc<Array2<u16>>], usual_dn2: f64) -> Ve
     found.map(|(i, _)| i).collect()
 }
 
-/// Largest ratio of the variance of two frames to that of most of their pixels that may be noise (a named
-/// choice).
+/// Maximum ratio of the variance of two frames to that of most of their pixels that may be noise (a
+/// named choice).
 const TAILS: f64 = 4.0;
-/// Pixels that tell the noise of most: to a hundredth (a named choice).
+/// Number of pixels that determines the usual noise: to a hundredth (a named choice).
 const USUAL_PIXELS: usize = 20_000;
 
-/// Temporal variance of most pixels of two frames, DN^2: from the median of the deviations, which for normal
-/// noise is 0.6745 of the standard deviation; that of rounding at least.
+/// Returns the temporal variance of most pixels of two frames, DN^2: from the median of the absolute
+/// deviations, which for normal noise is 0.6745 standard deviations; at least that of rounding.
 fn usual_var(a: &Array2<u16>, b: &Array2<u16>) -> f64 {
     let step = (a.len() / USUAL_PIXELS).max(1);
     let apart = || a.iter().zip(b).step_by(step).map(|(a, b)| f64::from(*a) - f64::from(*b));
@@ -250,7 +252,7 @@ fn usual_var(a: &Array2<u16>, b: &Array2<u16>) -> f64 {
     (0.5 * deviation * deviation).max(1.0)
 }
 
-/// Mean and temporal variance of two frames where neither is clipped.
+/// Returns mean and temporal variance of the pixels of two frames that are clipped in neither.
 fn pair(a: &Array2<u16>, b: &Array2<u16>, full: u16) -> (f64, f64) {
     let (mut n, mut sum, mut apart, mut square) = (0.0, 0.0, 0.0, 0.0);
     for (&a, &b) in a.iter().zip(b).filter(|(a, b)| **a < full && **b < full) {
@@ -260,7 +262,8 @@ fn pair(a: &Array2<u16>, b: &Array2<u16>, full: u16) -> (f64, f64) {
     (0.5 * sum / n, 0.5 * (square / n - (apart / n) * (apart / n)))
 }
 
-/// Growth of variance with the mean between the dimmest and the brightest pair, DN: enough to weigh pixels.
+/// Estimates the growth of variance with the mean between the dimmest and the brightest pair, DN:
+/// accurate enough for pixel weights.
 fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let points: Vec<_> = pairs.filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
     let low = points.iter().min_by(|a, b| a.0.total_cmp(&b.0));
@@ -271,7 +274,7 @@ fn rough_gain(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     }
 }
 
-/// Pixels without light and dim defect pixels, by the brightest set of flats.
+/// Finds pixels without light and dim defect pixels in the brightest set of flats.
 fn blind(looks: &[Look], zero_dn: f64) -> Vec<usize> {
     let brightest =
         looks.iter().filter_map(|l| Some((f64::from(l.level_dn?), l))).max_by(|a, b| a.0.total_cmp(&b.0));
@@ -285,14 +288,15 @@ fn blind(looks: &[Look], zero_dn: f64) -> Vec<usize> {
         .collect()
 }
 
-/// Dim defect pixels and columns: [`MIN_DIM_REL`] and this, DN, below the median of their neighbours.
+/// Finds dim defect pixels and columns: lower than the median of their neighbours by [`MIN_DIM_REL`] and
+/// `min_dn`.
 fn dim(mean: &Array2<f32>, min_dn: f32) -> Vec<usize> {
     let (rows, columns) = mean.dim();
     let is_below = |own: f32, around: f32| around - own > min_dn.max(MIN_DIM_REL as f32 * around);
     let mut found = Vec::new();
     for (y, row) in mean.outer_iter().enumerate() {
         for (x, &own) in row.iter().enumerate() {
-            // The two neighbours in the row rule most pixels out at little cost.
+            // Comparison with the two row neighbours excludes most pixels cheaply.
             let beside = if x > 0 { row[x - 1] } else { *row.get(1).unwrap_or(&own) };
             let other = if x + 1 < columns { row[x + 1] } else { beside };
             if !is_below(own, beside.max(other)) {
@@ -309,7 +313,7 @@ fn dim(mean: &Array2<f32>, min_dn: f32) -> Vec<usize> {
     found
 }
 
-/// Which pixels count, what zero is, and how variance grows with the signal.
+/// Determines the usable pixels, the zero level, and the growth of variance with the signal.
 fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usize) {
     let mut used = Array2::from_elem(shape, true);
     let filled: Vec<&[usize]> =
@@ -318,7 +322,7 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usi
     if let Some(used) = used.as_slice_mut() {
         looks.iter().flat_map(|l| &l.clipped).for_each(|&i| used[i] = false);
     }
-    // Most pixels of a dark at full scale have one code, and those that are sound lie off it.
+    // In a dark at full scale most pixels have one code, and the sound ones deviate from it.
     let is_told = |l: &&Look| !l.saturated || looks.iter().all(|l| l.saturated || l.dark.is_none());
     let darks: Vec<&Array2<f32>> = looks.iter().filter(is_told).filter_map(|l| l.dark.as_ref()).collect();
     let level = |d: &Array2<f32>| f64::from(d.mean().unwrap_or(0.0));
@@ -337,7 +341,7 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usi
     if let Some(used) = used.as_slice_mut() {
         blind(looks, shortest.map_or(0.0, |d| level(d))).into_iter().for_each(|i| used[i] = false);
     }
-    // Where most fell out, the rule was wrong and not the pixels.
+    // If most pixels were excluded, the criterion failed, not the pixels.
     if used.iter().filter(|u| **u).count() * 2 < used.len() {
         used.fill(true);
     }
@@ -350,7 +354,7 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usi
     (layout, shortest.map_or(0.0, |d| level(d)), filled.len())
 }
 
-/// A first look at every set: levels, and frames as far as there is room for them.
+/// Takes a first look at every set: levels, and frames as memory allows.
 fn first_look(
     dataset: &Dataset,
     stop: &AtomicBool,
@@ -372,13 +376,13 @@ fn first_look(
     Ok(looks)
 }
 
-/// Temporal variance of a dark over that of the quietest up to which the shot noise of its charge is small beside
-/// the read noise, and up to which it counts where frames are few; the frames beyond one each that are to tell
+/// Maximum temporal variance of a dark relative to the quietest: for charge shot noise small beside the
+/// read noise, and for use if frames are few; then the number of frames, beyond one per set, needed for
 /// single pixels (named choices).
 const LITTLE_CHARGE: [f64; 2] = [1.3, 3.0];
 const FRAMES_OF_PIXELS: usize = 6;
 
-/// Variance up to which darks tell the read noise of single pixels, DN^2.
+/// Returns the maximum variance of darks that determine the read noise of single pixels, DN^2.
 fn quiet_dark_dn2(dataset: &Dataset, looks: &[Look]) -> f64 {
     let dark = |(set, look): (&crate::dataset::Set, &Look)| {
         let var_dn2 = look.var_dn2().filter(|_| look.dark.is_some() && !look.saturated)?;
@@ -397,19 +401,20 @@ fn quiet_dark_dn2(dataset: &Dataset, looks: &[Look]) -> f64 {
     enough.map_or(most, |e| e.0.clamp(little, most))
 }
 
-/// What the first look at a campaign says: what every piece is read with.
+/// Results of the first look at a campaign, with which every piece is read.
 pub(crate) struct Seen {
     pub(crate) layout: Layout,
     pub(crate) zero_dn: f64,
     pub(crate) usual: outliers::Usual,
     /// Longest exposure of flats, s.
     pub(crate) longest_lit_s: f64,
-    /// Largest temporal variance of the first frames of darks that tell the read noise of single pixels, DN^2.
+    /// Maximum temporal variance of the first frames of darks that determine the read noise of single
+    /// pixels, DN^2.
     pub(crate) quiet_dark_dn2: f64,
     pub(crate) looks: Vec<Look>,
-    /// Pixels that the camera fills in from their neighbours.
+    /// Number of pixels interpolated by the camera from their neighbours.
     pub(crate) filled: usize,
-    /// Code below which one in two hundred samples of the darks lies.
+    /// 0.5 % quantile of the dark samples, as a code.
     pub(crate) darkest_dn: Option<f64>,
 }
 
@@ -421,8 +426,8 @@ impl Seen {
     ) -> Result<Self, ExamineError> {
         let camera = &dataset.manifest().camera;
         let (full, shape) = (camera.full_scale_dn(), (camera.height, camera.width));
-        // Memory follows what is there: a frame must confirm the size that a header claims. Statistics have
-        // confirmed it when they were opened.
+        // Memory is bounded by actual data: a frame must confirm the size claimed by a header.
+        // Statistics were checked when opened.
         if let Some(row) = dataset.rows().first().filter(|_| dataset.reduced().is_none()) {
             dataset.read(row)?;
         }
@@ -444,8 +449,8 @@ impl Seen {
         })
     }
 
-    /// Everything that the statistics of a piece depend on beside its frames and their settings; `names` are
-    /// those of the statistics.
+    /// Returns a digest of everything that the statistics of a piece depend on beside its frames and
+    /// their settings; `names` are those of the statistics.
     pub(crate) fn digest<'n>(&self, names: impl Iterator<Item = &'n str>) -> String {
         let mut all = Sha256::new();
         all.update(env!("CARGO_PKG_VERSION"));
@@ -461,7 +466,7 @@ impl Seen {
     }
 }
 
-/// The first look at every set, to be kept.
+/// Takes the first look at every set and records it.
 pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, ExamineError> {
     let mut out = Reduced::default();
     for (set, look) in dataset.sets().iter().zip(first_look(dataset, stop, &mut |_| {})?) {
@@ -475,8 +480,8 @@ mod tests {
     use super::{dim, top_code};
     use ndarray::Array2;
 
-    /// Two dim pixels, one of them in a corner, and a dead column of a shaded field with dust of five by
-    /// five pixels are found; the dust is not.
+    /// Two dim pixels, one of them in a corner, and a dead column are found in a shaded field; dust of 5
+    /// x 5 pixels is not.
     #[test]
     fn single_pixels_are_dim() {
         let mut mean = Array2::from_shape_fn((30, 40), |(r, c)| 1000.0 - 10.0 * r as f32 - 5.0 * c as f32);
@@ -491,7 +496,7 @@ mod tests {
         assert!((0..30).all(|r| dim(&mean, 400.0).contains(&(r * 40 + 30))));
     }
 
-    /// Codes that pile up at 1022 of 1023; noise that ends there by itself; a well that is full far below.
+    /// Pile-up at code 1022 of 1023 is found; noise that ends there, and a full well far below, are not.
     #[test]
     fn codes_pile_up_at_the_top() {
         let frame = |code: &dyn Fn(usize) -> u16| Array2::from_shape_fn((40, 50), |(r, c)| code(50 * r + c));

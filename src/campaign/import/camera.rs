@@ -1,23 +1,23 @@
-//! The camera that headers tell of, and colour patterns of mosaics that are kept whole.
+//! Camera stated in headers, and colour patterns of mosaics that are kept whole.
 
 use super::Facts;
 use super::facts::feature_value;
 use crate::dataset::CameraInfo;
 use std::collections::BTreeMap;
 
-/// Colour patterns of two by two pixels, row by row.
+/// Colour patterns of 2 x 2 pixels, row by row.
 pub const PATTERNS: [&str; 4] = ["RGGB", "BGGR", "GRBG", "GBRG"];
 
-/// PFNC name of a mosaic.
+/// Returns the PFNC name of a mosaic.
 pub fn pixel_format(pattern: &str, bit_depth: u8) -> String {
     format!("Bayer{}{bit_depth}", pattern.get(..2).unwrap_or_default())
 }
 
-/// Feature that says in which order the rows of a frame are.
+/// Feature that states the row order of a frame.
 pub const ROW_ORDER: &str = "ROWORDER";
-/// Its value for rows from the bottom to the top.
+/// Value of `ROW_ORDER` for rows from bottom to top.
 pub const BOTTOM_UP: &str = "BOTTOM-UP";
-/// Its value for rows from the top to the bottom.
+/// Value of `ROW_ORDER` for rows from top to bottom.
 pub const TOP_DOWN: &str = "TOP-DOWN";
 
 impl Facts {
@@ -26,7 +26,7 @@ impl Facts {
         self.bottom_up.map(|up| if up { BOTTOM_UP } else { TOP_DOWN })
     }
 
-    /// The camera as names and headers state it; what they do not state is empty or absent.
+    /// Returns the camera as stated by names and headers; unstated properties are empty or absent.
     pub fn camera_info(&self) -> CameraInfo {
         let text = |t: &Option<String>| t.clone().unwrap_or_default();
         let mut features: BTreeMap<String, toml::Value> =

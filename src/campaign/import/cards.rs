@@ -1,28 +1,28 @@
-//! The header of a FITS file as its cards: keyword, value and comment (FITS standard 4.0, section 4).
+//! Cards of a FITS header: keyword, value and comment (FITS standard 4.0, section 4).
 
 use crate::dataset::image;
 use std::path::Path;
 
-/// Bytes of a card.
+/// Size of a card, bytes.
 const CARD: usize = 80;
 
-/// A card with a value.
+/// FITS card with a value.
 #[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Card {
     /// Keyword.
     pub key: String,
     /// Value, strings without their quotes.
     pub value: String,
-    /// What stands behind the slash.
+    /// Comment behind the slash.
     pub comment: String,
 }
 
-/// The cards of the header of the image, in the order of their keywords: the order of the file means nothing.
+/// Reads the cards of the image header, sorted by keyword: the file order is meaningless.
 pub fn read(path: &Path) -> Result<Vec<Card>, String> {
     Ok(of_bytes(&image::fits_header(path).map_err(|e| e.to_string())?))
 }
 
-/// The cards of a header.
+/// Parses the cards of a header.
 pub fn of_bytes(header: &[u8]) -> Vec<Card> {
     let mut out: Vec<Card> = Vec::new();
     let mut continued = false;
@@ -66,7 +66,7 @@ pub fn of_bytes(header: &[u8]) -> Vec<Card> {
     out
 }
 
-/// Value and comment: a slash inside quotes belongs to the value.
+/// Splits value and comment: a slash inside quotes belongs to the value.
 fn value_of(text: &str) -> (String, String) {
     let text = text.trim_start();
     let (value, rest) = match text.strip_prefix('\'') {
@@ -76,7 +76,7 @@ fn value_of(text: &str) -> (String, String) {
             let mut chars = inside.char_indices().peekable();
             while let Some((at, c)) = chars.next() {
                 if c == '\'' {
-                    // Two quotes are one of the text.
+                    // Two quotes encode one.
                     if chars.next_if(|(_, next)| *next == '\'').is_none() {
                         rest = &inside[at + 1..];
                         break;
@@ -103,7 +103,7 @@ mod tests {
         cards.iter().flat_map(|c| format!("{c:<80}").into_bytes()).collect()
     }
 
-    /// A micro sign in UTF-8 and in Latin-1, where it is one byte.
+    /// Micro signs in UTF-8 and in Latin-1, where they are one byte.
     #[test]
     fn micro_signs_are_read() {
         let mut header = header(&["EXPTIME =                 25 / [µs]", "END"]);

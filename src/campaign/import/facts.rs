@@ -1,20 +1,20 @@
-//! What is known of a frame, and where it comes from.
+//! Known facts of a frame, and their sources.
 
 use crate::dataset::{CameraInfo, Kind};
 use std::collections::BTreeMap;
 
-/// Exposures that differ by less are one exposure, rounded in different ways.
+/// Maximum relative difference of two exposures that are equal but for rounding.
 const SAME_EXPOSURE: f64 = 0.01;
 
-/// Whether two exposures are the same but for rounding.
+/// Returns true if two exposures are equal but for rounding.
 pub(super) fn same_exposure(a: f64, b: f64) -> bool {
     (a - b).abs() <= SAME_EXPOSURE * a.abs().max(b.abs())
 }
 
-/// What names and headers say of a frame.
+/// Facts of a frame stated in names and headers.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Facts {
-    /// What it shows.
+    /// Kind of the frame.
     pub kind: Option<Kind>,
     /// Exposure, s.
     pub exposure_s: Option<f64>,
@@ -26,48 +26,48 @@ pub struct Facts {
     pub gain_db: Option<f64>,
     /// Sensor temperature, degrees Celsius.
     pub temperature_c: Option<f64>,
-    /// Temperature that the cooler is set to, degrees Celsius.
+    /// Set point of the cooler, degrees Celsius.
     pub set_temperature_c: Option<f64>,
-    /// Maker.
+    /// Manufacturer.
     pub vendor: Option<String>,
     /// Model.
     pub model: Option<String>,
     /// Serial number.
     pub serial: Option<String>,
-    /// When it was taken, s from any moment that is the same for all.
+    /// Capture time, s since an arbitrary common epoch.
     pub time_s: Option<f64>,
-    /// Number of its set, where it says so.
+    /// Set number, if stated.
     pub set: Option<u32>,
     /// Filter in front of the sensor.
     pub filter: Option<String>,
-    /// Further settings by their GenICam names (`GainRaw`, `BlackLevelRaw`, `BinningHorizontal`, ...) or,
-    /// where GenICam has none, by those of FITS. All frames of a dataset share them.
+    /// Further settings by GenICam name (`GainRaw`, `BlackLevelRaw`, `BinningHorizontal`, ...) or, where
+    /// GenICam has none, by FITS name. All frames of a dataset share them.
     pub differs: Vec<(String, String)>,
-    /// The camera with its settings, where it says all of it.
+    /// Camera with its settings, if all of it is stated.
     pub camera: Option<CameraInfo>,
     /// True for a frame of the sky or another object, by its name: neither dark nor flat.
     pub object: bool,
-    /// A bias frame: it has no exposure of its own.
+    /// True for a bias frame, which has no exposure of its own.
     pub bias: bool,
-    /// The exposure is stated as 0: that of a bias frame; of others it is not known.
+    /// True if the exposure is stated as 0: correct for a bias frame, unknown for others.
     pub zero_exposure: bool,
-    /// Rows run from the bottom to the top.
+    /// True if rows run from bottom to top.
     pub bottom_up: Option<bool>,
-    /// Colour pattern of two by two pixels, row by row, such as RGGB; none of monochrome sensors.
+    /// Colour pattern of 2 x 2 pixels, row by row, such as RGGB; none for monochrome sensors.
     pub mosaic: Option<String>,
-    /// Keyword and section of the part that light reaches (TRIMSEC or DATASEC of FITS).
+    /// Keyword and section of the illuminated area (TRIMSEC or DATASEC of FITS).
     pub trim_section: Option<(String, String)>,
     /// Section of the overscan (BIASSEC of FITS).
     pub bias_section: Option<String>,
-    /// Why it is no raw frame.
+    /// Reason that it is not a raw frame.
     pub processed: Option<String>,
-    /// True if the unit of the exposure stands with it.
+    /// True if the exposure is stated with its unit.
     pub unit_stated: bool,
-    /// Values with more than one reading, `key: why`. A person must settle it.
+    /// Ambiguous values, `key: why`, which a person must settle.
     pub doubts: Vec<String>,
-    /// Where the header and the names disagree: the header counts.
+    /// Contradictions of header and names: the header takes precedence.
     pub overruled: Vec<String>,
-    /// Where each value comes from.
+    /// Source of each value.
     pub from: BTreeMap<String, String>,
 }
 
@@ -77,7 +77,7 @@ impl Facts {
         self.from.insert("kind".into(), from.into());
     }
 
-    /// A setting, where it is not known yet.
+    /// Sets a setting if it is not known yet.
     pub(super) fn set_feature(&mut self, name: &str, value: &str, from: &str) {
         if self.feature(name).is_none() {
             self.differs.push((name.into(), value.into()));
@@ -85,7 +85,7 @@ impl Facts {
         }
     }
 
-    /// Value of a setting.
+    /// Returns the value of a setting.
     pub fn feature(&self, name: &str) -> Option<&str> {
         self.differs.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str())
     }
@@ -94,10 +94,10 @@ impl Facts {
         self.doubts.iter().any(|d| d.starts_with(&format!("{key}:")))
     }
 
-    /// These, of the header, and where they say nothing those of names. Where they contradict each other the
-    /// header counts and it is said; where the unit decides it is asked.
+    /// Merges header facts (`self`) with those of names, which fill gaps. On a contradiction the header
+    /// takes precedence and a note is kept; if the unit decides it, the user is asked.
     pub(super) fn or(mut self, names: Self) -> Self {
-        // What radcam wrote, names do not doubt.
+        // Frames written by radcam: names cannot contradict them.
         let names = if self.camera.is_some() { Self::default() } else { names };
         if let (Some(a), Some(b)) = (self.exposure_s, names.exposure_s)
             && !same_exposure(a, b)
@@ -118,7 +118,7 @@ impl Facts {
             let of = |f: &Self| f.from.get("kind").cloned().unwrap_or_default();
             self.overruled.push(format!("kind: {} says {a}, and {} says {b}", of(&self), of(&names)));
         }
-        // A doubt about names is settled by a header.
+        // A header settles a doubt about names.
         for doubt in &names.doubts {
             let settled = (doubt.starts_with("kind:") && self.kind.is_some())
                 || (doubt.starts_with("exposure_s:")
@@ -176,7 +176,8 @@ impl Facts {
         self
     }
 
-    /// These of a whole file, for a page that says some of them itself: what it says is no contradiction.
+    /// Returns the facts of a whole file for a page that states some itself: differing values of the
+    /// page are not contradictions.
     pub(super) fn beside(mut self, page: &Self) -> Self {
         if page.exposure_s.is_some() || page.doubts("exposure_s") {
             self.exposure_s = None;
@@ -191,7 +192,7 @@ impl Facts {
         self
     }
 
-    /// Takes a value that is not known here.
+    /// Copies a value that is unknown here.
     fn take<T: Clone>(&mut self, other: &Self, key: &str, of: impl Fn(&mut Self) -> &mut Option<T>) {
         if of(self).is_some() {
             return;
@@ -206,7 +207,7 @@ impl Facts {
     }
 }
 
-/// A value of a setting as a manifest has it: a whole number, a number or a text.
+/// Converts a setting to a manifest value: an integer, a float or a text.
 pub(super) fn feature_value(text: &str) -> toml::Value {
     match (text.parse::<i64>(), text.parse::<f64>()) {
         (Ok(whole), _) => whole.into(),

@@ -1,4 +1,4 @@
-//! What the headers of image files say: FITS cards, descriptions of TIFF and PNG, their times.
+//! Headers of image files: FITS cards, descriptions of TIFF and PNG, and times.
 
 use super::words::{self, Said, Writer, of_description};
 use super::{Facts, cards, ome, stacks};
@@ -12,7 +12,7 @@ use tiff::tags::Tag;
 /// TIFF tag of Micro-Manager's JSON.
 const MICRO_MANAGER: u16 = 51_123;
 
-/// Facts of a file, and how many pages it has.
+/// Reads the facts of a file and its number of pages.
 pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     let start = crate::input::start(path, 8).map_err(|e| e.to_string())?;
     if image::begins_as_fits(&start) {
@@ -38,7 +38,7 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
     let found = of_directory(&mut decoder, directories.first_description(path, 0));
     let pages = image::Images::open(path).map_err(|e| e.to_string())?.frames().len();
-    // ImageJ keeps stacks of more than 4 GB behind one page.
+    // ImageJ stores stacks of more than 4 GB behind one page.
     let said =
         text.lines().find_map(|l| l.strip_prefix("images=")).and_then(|n| n.trim().parse::<usize>().ok());
     match said.filter(|n| *n > pages && text.starts_with("ImageJ")) {
@@ -49,7 +49,8 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     }
 }
 
-/// Facts of the tags of a TIFF directory. `first`: a description in front of the one that decoders return.
+/// Reads facts from the tags of a TIFF directory. `first`: a description before the one that decoders
+/// return.
 fn of_directory<R: std::io::Read + std::io::Seek>(
     decoder: &mut tiff::decoder::Decoder<R>,
     first: Option<String>,
@@ -69,12 +70,12 @@ fn of_directory<R: std::io::Read + std::io::Seek>(
             tags.or(first).or(of_text(&text))
         }
     };
-    // Frames that a viewer turns are those of another orientation.
+    // Frames that viewers rotate or flip have another orientation.
     let orientation = decoder.find_tag(Tag::Orientation).ok().flatten().and_then(|v| v.into_u16().ok());
     if let Some(turned) = orientation.filter(|o| (2..=8).contains(o)) {
         found.set_feature(ORIENTATION, &turned.to_string(), ORIENTATION);
     }
-    // Micro-Manager keeps the settings of every page in a tag of its own.
+    // Micro-Manager stores the settings of every page in its own tag.
     if let Ok(json) = decoder.get_tag_ascii_string(Tag::Unknown(MICRO_MANAGER)) {
         found = found.or(of_description(&json));
     }
@@ -83,8 +84,8 @@ fn of_directory<R: std::io::Read + std::io::Seek>(
     found
 }
 
-/// Facts of the pages of a TIFF whose directories say something each; empty of other files, and of stacks
-/// whose first directory speaks for all.
+/// Reads facts of TIFF pages whose directories differ; empty for other files, and for stacks described
+/// by their first directory.
 pub fn of_pages(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
     let empty = BTreeMap::new;
     let (Some(second), Ok(directories)) = (pages.get(1), image::tiff_directories(path)) else {
@@ -107,14 +108,14 @@ fn decoder_time<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder::D
     time_s(&decoder.get_tag_ascii_string(Tag::DateTime).ok()?)
 }
 
-/// Setting of frames whose first pixel is not at the upper left (TIFF 6.0, Orientation); 1 where nothing says
-/// it.
+/// Setting for frames whose first pixel is not at the upper left (TIFF 6.0, Orientation); 1 if not
+/// stated.
 pub(super) const ORIENTATION: &str = "Orientation";
 
-/// Source of what radcam wrote into its own frames.
+/// Source name of metadata written by radcam into its own frames.
 const SELF: &str = "radcam's description";
 
-/// What a frame that radcam wrote says of itself.
+/// Converts the metadata of a frame written by radcam.
 fn of_tag(tag: FrameTag) -> Facts {
     let said = |text: String| Some(text).filter(|t| !t.is_empty());
     Facts {
@@ -137,12 +138,12 @@ fn of_tag(tag: FrameTag) -> Facts {
     }
 }
 
-/// What the text chunks of a PNG say.
+/// Reads facts from the text chunks of a PNG.
 fn of_png(path: &Path) -> Option<Facts> {
     let reader = image::png_file::decoder(path).ok()?.read_info().ok()?;
     let info = reader.info();
     let latin = info.uncompressed_latin1_text.iter().map(|t| (t.keyword.clone(), t.text.clone()));
-    // A packed text is not unpacked: its size is not known before.
+    // Compressed texts are not decompressed, as their size is not known in advance.
     let utf = info
         .utf8_text
         .iter()
@@ -159,8 +160,8 @@ fn of_png(path: &Path) -> Option<Facts> {
     Some(out)
 }
 
-/// Seconds since 1970 of a date and time as FITS (`2026-11-22T12:00:00.5`) or TIFF (`2026:11:22 12:00:00`) has it; the zone is taken as UTC,
-/// for only differences matter.
+/// Returns seconds since 1970 of a date and time in FITS (`2026-11-22T12:00:00.5`) or TIFF (`2026:11:22
+/// 12:00:00`) form; the time zone is taken as UTC, as only differences matter.
 pub fn time_s(text: &str) -> Option<f64> {
     let text = text.trim_matches(|c: char| c.is_whitespace() || matches!(c, '\'' | '\0' | 'Z'));
     let (date, time) = text.split_once([' ', 'T'])?;
@@ -168,7 +169,7 @@ pub fn time_s(text: &str) -> Option<f64> {
     Some(moment.duration_since(jiff::civil::date(1970, 1, 1).at(0, 0, 0, 0)).as_secs_f64())
 }
 
-/// ExposureTime and ISO of the EXIF directory (EXIF 2.32, tags 33434 and 34855).
+/// Reads ExposureTime and ISO of the EXIF directory (EXIF 2.32, tags 33434 and 34855).
 fn exif<R: std::io::Read + std::io::Seek>(decoder: &mut tiff::decoder::Decoder<R>, found: &mut Facts) {
     let mut of = |number: u16| {
         let tag = Tag::Unknown(number);

@@ -1,10 +1,10 @@
-//! Dark or flat: words of file names, folders and headers.
+//! Dark or flat: words in file names, folders and headers.
 
 use crate::dataset::Kind;
 use crate::number::seconds;
 
-/// The kind that a word names: the word itself, its plural, or with `frame` or `field` behind it. A light frame
-/// is that of the sky to some and that of a card to others: it says nothing.
+/// Returns the kind that a word names: the word, its plural, or the word followed by `frame` or `field`.
+/// "Light frame" means a sky frame to some and a card frame to others, so it states no kind.
 pub fn kind(word: &str) -> Option<Kind> {
     let word = word.to_lowercase();
     let is = |stems: &[&str]| {
@@ -50,30 +50,31 @@ pub fn kind(word: &str) -> Option<Kind> {
     }
 }
 
-/// What the words of one text say.
+/// Kind statements of one text.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Said {
-    /// The kind, where the words agree.
+    /// Kind, if the words agree.
     pub kind: Option<Kind>,
-    /// A word that may be a setting as well: `offset` or `black` with a number behind it. Counts only where no
-    /// other text says the kind.
+    /// Ambiguous word that may also be a setting: `offset` or `black` followed by a number. Used only if
+    /// no other text states the kind.
     pub weak: Option<Kind>,
-    /// A frame without an exposure of its own: bias, offset, zero.
+    /// True for a frame without its own exposure: bias, offset, zero.
     pub bias: bool,
-    /// True for a frame of an object: neither dark nor flat, where others are called so.
+    /// True for a frame of an object: neither dark nor flat, if others are named so.
     pub object: bool,
 }
 
-/// Words behind `dark`, `black`, `white` that make rooms and settings of them.
+/// Words that follow `dark`, `black`, `white` in names of rooms and settings.
 const NO_KIND: [&str; 13] = [
     "room", "box", "lab", "tent", "chamber", "cabinet", "level", "lvl", "gain", "point", "order", "balance",
     "body",
 ];
-/// Words behind `dark` that are of a correction or a study: `flat_DarkCorrectionOff_10ms` is a flat.
+/// Words that follow `dark` in names of a correction or a study: `flat_DarkCorrectionOff_10ms` is a
+/// flat.
 const OF_DARK: [&str; 8] =
     ["corr", "correction", "corrected", "current", "sub", "subtraction", "subtracted", "signal"];
 
-/// Words for a lamp or a card, behind which `off` says that there was no light: `flat_LEDoff_3ms`.
+/// Words for a lamp or card; followed by `off` they state that there was no light: `flat_LEDoff_3ms`.
 const LAMPS: [&str; 16] = [
     "led",
     "leds",
@@ -92,7 +93,7 @@ const LAMPS: [&str; 16] = [
     "field",
     "beam",
 ];
-/// Words that say that no light fell.
+/// Words that state the absence of light.
 const NO_LIGHT: [&str; 14] = [
     "capped",
     "lenscap",
@@ -110,7 +111,7 @@ const NO_LIGHT: [&str; 14] = [
     "abgedunkelt",
 ];
 
-/// Returns true where words say that no light fell: `LED off`, `capped`, `no light`.
+/// Returns true if words state the absence of light: `LED off`, `capped`, `no light`.
 fn is_unlit(words: &[String]) -> bool {
     let pair = |first: &str, second: &str| match second {
         "off" => LAMPS.contains(&first),
@@ -125,8 +126,8 @@ fn is_unlit(words: &[String]) -> bool {
     words.iter().any(|w| NO_LIGHT.contains(&&**w)) || words.windows(2).any(|w| pair(&w[0], &w[1]))
 }
 
-/// The kind that a text names. Flat darks (`Flat Darks`, `flat_dark_`, `DarkFlat`) are darks; where both words
-/// stand apart from each other (`flats and darks`) the text says nothing.
+/// Returns the kind that a text names. Flat darks (`Flat Darks`, `flat_dark_`, `DarkFlat`) are darks; if
+/// both words are separated (`flats and darks`) the text states no kind.
 pub fn of(text: &str) -> Said {
     let words = words(text);
     let lower: Vec<String> = words.iter().map(|(word, _)| word.to_lowercase()).collect();
@@ -135,7 +136,7 @@ pub fn of(text: &str) -> Said {
     let mut out = Said::default();
     for (place, (word, number)) in words.iter().enumerate() {
         out.object |= !number && is_object(&lower[place]);
-        // `dark_gain0` states a gain; a dark gain is a map.
+        // `dark_gain0` states a gain; `dark_gain` is a gain map.
         let is_setting =
             words.get(place + 1).is_some_and(|(next, number)| *number && next.eq_ignore_ascii_case("gain"));
         let names = |_: &Kind| is_setting || !follows(place, &NO_KIND);
@@ -147,7 +148,7 @@ pub fn of(text: &str) -> Said {
             strong.push((place, kind));
         }
     }
-    // A correction by darks is told beside another kind; alone the word is the kind.
+    // A dark correction is stated next to another kind; alone, `dark` is the kind.
     if strong.iter().any(|s| s.1 != Kind::Dark) {
         strong.retain(|s| s.1 != Kind::Dark || !follows(s.0, &OF_DARK));
     }
@@ -169,7 +170,7 @@ pub fn of(text: &str) -> Said {
     out
 }
 
-/// Returns true for the word of a frame of the sky, or of any object.
+/// Returns true for a word that names a frame of the sky or of any object.
 fn is_object(word: &str) -> bool {
     matches!(
         word,
@@ -177,7 +178,7 @@ fn is_object(word: &str) -> bool {
     )
 }
 
-/// The kind that a file's name tells: its words, or the letter in front of a name as APT writes it
+/// Returns the kind stated by a file name: by its words, or by the leading letter that APT writes
 /// (`D_1234_ISO800_300s__20C`, `F_2019-05-15_23-12-07_Bin1x1_2s__-10C`).
 pub fn of_file(name: &str) -> Said {
     let said = of(name);
@@ -196,7 +197,7 @@ pub fn of_file(name: &str) -> Said {
     Said { kind: said.kind.or(Some(kind)), bias: said.bias || letters == "B", ..said }
 }
 
-/// Whether a text tells nothing but the kind and settings: `01_Darks`, `flat 10ms gain0`, and not
+/// Returns true if a text states only the kind and settings: `01_Darks`, `flat 10ms gain0`, but not
 /// `dark_current_study`.
 pub fn alone(text: &str) -> bool {
     const SETTINGS: [&str; 14] = [
@@ -209,13 +210,13 @@ pub fn alone(text: &str) -> bool {
     })
 }
 
-/// Returns true if `black` alone makes a dark of a folder: it may be that of a black camera, or of black
+/// Returns true if `black` alone marks a folder as darks: it may be that of a black camera, or of black
 /// columns.
 pub fn says_black_alone(text: &str) -> bool {
     words(text).iter().all(|(word, _)| kind(word).is_none() || word.eq_ignore_ascii_case("black"))
 }
 
-/// Words of letters, and whether a number follows; `FlatDark` is two words.
+/// Splits into words of letters, with a flag for a following number; `FlatDark` gives two words.
 fn words(text: &str) -> Vec<(&str, bool)> {
     let mut out = Vec::new();
     let mut start = None;
@@ -243,7 +244,7 @@ fn words(text: &str) -> Vec<(&str, bool)> {
     out
 }
 
-/// Step of the gain that a name says in words: `lowgain_flat`, `flat_high_gain`.
+/// Returns the gain step that a name states in words: `lowgain_flat`, `flat_high_gain`.
 pub fn gain_step(name: &str) -> Option<&'static str> {
     let lower: Vec<(String, bool)> =
         words(name).iter().map(|(word, number)| (word.to_lowercase(), *number)).collect();
@@ -262,7 +263,7 @@ pub fn gain_step(name: &str) -> Option<&'static str> {
     let of = |(short, step): (&str, &'static str)| {
         let together = format!("{short}gain");
         let pair = |a: &(String, bool), b: &(String, bool)| {
-            // The number of gain100_low is the gain.
+            // In gain100_low the number is the gain.
             (a.0 == short && is_gain(&b.0)) || (is_gain(&a.0) && !a.1 && b.0 == short)
         };
         let apart = lower.windows(2).any(|w| pair(&w[0], &w[1]));
@@ -271,7 +272,7 @@ pub fn gain_step(name: &str) -> Option<&'static str> {
     steps.into_iter().find_map(of)
 }
 
-/// Letter of one of several cameras: `camA_flat`, `flat_Camera-B`, `cam_left`.
+/// Returns the letter of one of several cameras: `camA_flat`, `flat_Camera-B`, `cam_left`.
 pub fn camera_letter(name: &str) -> Option<String> {
     const SIDES: [&str; 4] = ["left", "right", "master", "slave"];
     const CAMERA: [&str; 2] = ["camera", "cam"];
@@ -295,9 +296,10 @@ pub fn camera_letter(name: &str) -> Option<String> {
     parts.iter().find_map(|p| glued(p)).or_else(|| parts.windows(2).find_map(apart))
 }
 
-/// Why a name says that its file is no raw frame: averages and corrected frames have another noise.
+/// Returns the reason that a name marks a processed file: averages and corrected frames have different
+/// noise.
 pub fn processed(name: &str) -> Option<String> {
-    // Siril's prefix of preprocessed frames, also behind that of registered ones.
+    // Siril's prefix of preprocessed frames, also after the prefix of registered ones.
     let siril = ["pp_", "r_pp_", "bkg_pp_"].iter().any(|p| name.starts_with(p));
     const WORDS: &[&str] = &[
         "master",
@@ -374,7 +376,7 @@ pub fn processed(name: &str) -> Option<String> {
     }
 }
 
-/// Words of [`processed`] that with the word behind them are a sensor, a test or an exposure.
+/// Words of [`processed`] that together with the next word name a sensor, a test or an exposure.
 const SENSORS_AND_TESTS: [(&str, &str); 12] = [
     ("stacked", "cmos"),
     ("stacked", "sensor"),
@@ -390,10 +392,11 @@ const SENSORS_AND_TESTS: [(&str, &str); 12] = [
     ("integration", "s"),
 ];
 
-/// Number of frames that may have been averaged, in a word of its own (`x4`, `8x`), with that word. Places
-/// (`x2_y3`), regions (`64x64`), shares (`x2.5`) and the magnifications of lenses (`10x`, `20x`) are none.
+/// Returns the number of frames possibly averaged, stated as a separate word (`x4`, `8x`), with that
+/// word. Positions (`x2_y3`), regions (`64x64`), fractions (`x2.5`) and lens magnifications (`10x`,
+/// `20x`) are excluded.
 pub fn times(name: &str) -> Option<(&str, u32)> {
-    // The extension stands behind a point.
+    // Strip the extension.
     let stem = name
         .rsplit_once('.')
         .filter(|(_, e)| e.starts_with(|c: char| c.is_alphabetic()))

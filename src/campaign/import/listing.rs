@@ -1,17 +1,17 @@
-//! Image files of the folders that are named, and what is passed over.
+//! Image files in the named folders, and notes on skipped files.
 
 use super::{ImportError, few, names};
 use crate::dataset::Dataset;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Extensions of files that are looked at in folders.
+/// Extensions of image files searched for in folders.
 const EXTENSIONS: [&str; 13] =
     ["tif", "tiff", "dng", "png", "fits", "fit", "fts", "npy", "h5", "hdf5", "hdf", "nxs", "nx5"];
-/// Further extensions of a packed FITS, behind its own.
+/// Additional extensions of a compressed FITS, after its own.
 pub(super) const PACKED: [&str; 2] = ["gz", "fz"];
 
-/// True if a name is that of a file of frames.
+/// Returns true for the name of an image file.
 fn is_image(path: &Path) -> bool {
     let of = |p: &Path| p.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     let extension = of(path);
@@ -22,7 +22,7 @@ fn is_image(path: &Path) -> bool {
     EXTENSIONS.contains(&&*extension)
 }
 
-/// Files and folders that operating systems, file servers and viewers write.
+/// Files and folders written by operating systems, file servers and viewers.
 const SYSTEM: [&str; 11] = [
     "thumbs",
     "thumbnails",
@@ -40,33 +40,34 @@ const SYSTEM: [&str; 11] = [
 /// Extensions of files that may hold settings of frames.
 const SETTINGS: [&str; 4] = ["csv", "json", "tsv", "txt"];
 
-/// Text files that are looked at for a descriptor of EMVA 1288, at most.
+/// Maximum number of text files checked for an EMVA 1288 descriptor.
 const MAX_TEXTS: usize = 20;
 
-/// Image files, and what was passed over.
+/// Image files and notes on skipped files.
 #[derive(Debug, Default)]
 pub struct Listing {
-    /// Image files in the order of their names, each once.
+    /// Image files sorted by name, without duplicates.
     pub files: Vec<PathBuf>,
-    /// What was passed over, in words.
+    /// Notes on skipped files.
     pub notes: Vec<String>,
 }
 
-/// Whether a file or folder is hidden or the operating system's: `._a.tif` and `Thumbs.db`.
+/// Returns true for a hidden file or folder, or one of the operating system: `._a.tif` and `Thumbs.db`.
 fn is_system(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     name.starts_with('.') || SYSTEM.contains(&&*name)
 }
 
-/// The image files that are named, and those in folders that are, in whatever order they are named.
+/// Lists the named image files and those in named folders; the result does not depend on the order of
+/// the names.
 ///
 /// # Errors
 ///
-/// Which file or folder cannot be read.
+/// A file or folder that cannot be read.
 pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
     let mut files = Vec::new();
     let mut system = Vec::new();
-    // The first of the camera raw files.
+    // First camera raw file found.
     let mut raw: Option<PathBuf> = None;
     let mut others: BTreeMap<String, usize> = BTreeMap::new();
     let mut texts: Vec<PathBuf> = Vec::new();
@@ -86,7 +87,7 @@ pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
     }
     let mut seen = BTreeSet::new();
     while let Some(folder) = folders.pop() {
-        // A link may lead back.
+        // Links may form a loop.
         if !seen.insert(folder.canonicalize().map_err(fault(&folder))?) {
             continue;
         }
@@ -142,7 +143,7 @@ pub fn list(named: &[PathBuf]) -> Result<Listing, ImportError> {
         let words: Vec<String> = others.iter().map(count).collect();
         notes.push(format!("passed over, no images that radcam reads: {}", words.join(", ")));
     }
-    // One file under two names is one file.
+    // A file reached under two names counts once.
     let mut once = BTreeSet::new();
     let before = files.len();
     files.retain(|path| path.canonicalize().map_or(true, |whole| once.insert(whole)));

@@ -1,21 +1,21 @@
-//! Lists in plain text beside the frames: a line begins with the name of a frame or of its folder, and says the
-//! settings as a name would (`Messung01: 5 ms (Kappe zu)`).
+//! Plain-text lists beside the frames: a line begins with the name of a frame or its folder, followed by
+//! settings written as in a name (`Messung01: 5 ms (Kappe zu)`).
 
 use super::Facts;
 use super::names;
 use std::collections::HashMap;
 
-/// Largest number of characters of a line that is read.
+/// Maximum length of a line, characters.
 const MAX_LINE: usize = 300;
-/// Signs behind the name that a line begins with, the most telling first; else the first space is.
+/// Separators after the leading name, the most specific first; otherwise the first space.
 const SIGNS: [char; 5] = [':', '=', '\t', ';', ','];
-/// Minimum number of exposures in a list that has other lines too (a named choice).
+/// Minimum number of exposures in a list that also has other lines (a named choice).
 const MIN_LINES: usize = 3;
-/// Maximum number of characters that lines of one name have together.
+/// Maximum total length of the lines of one name, characters.
 const MAX_TEXT: usize = 4 * MAX_LINE;
 
-/// Texts by the names that their lines begin with, those of one name in one text; `None` of a text that lists no
-/// exposures, as most prose does not.
+/// Returns texts by the leading name of their lines, lines of one name joined; `None` for a text without
+/// exposures, such as most prose.
 pub fn rows_of(text: &str) -> Option<HashMap<String, String>> {
     let mut rows: HashMap<String, String> = HashMap::new();
     for line in text.trim_start_matches('\u{feff}').lines().filter(|l| l.len() <= MAX_LINE) {
@@ -37,7 +37,7 @@ pub fn rows_of(text: &str) -> Option<HashMap<String, String>> {
     (known == MIN_LINES || known > 0 && known == rows.len()).then_some(rows)
 }
 
-/// Facts that a line states.
+/// Parses the facts stated by a line.
 pub fn facts(said: &str) -> Facts {
     let mut facts = names::facts("", said.trim());
     facts.from.values_mut().for_each(|from| *from = format!("\"{}\"", said.trim()));

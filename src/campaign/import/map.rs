@@ -1,4 +1,4 @@
-//! How files become sets: the map that the user confirms, completes or writes.
+//! Import map: assigns files to sets; the user confirms, completes or writes it.
 
 use super::{ImportError, ReadOptions, Scale, camera, plausible};
 use crate::dataset::{CameraInfo, Kind};
@@ -7,79 +7,78 @@ use crate::number::ranges;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Name of the map's format.
+/// Name of the map format.
 pub const MAP_FORMAT: &str = "radcam-import/1";
 
-/// How files become sets: what the user confirms, and may write.
+/// Assignment of files to sets: the user confirms it, and may write it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Map {
     /// [`MAP_FORMAT`].
     pub format: String,
-    /// Bits of a code, 1 to 16.
+    /// Bit depth, 1 to 16.
     pub bit_depth: u8,
-    /// Bits by which the codes of the files were shifted up: they are shifted down again.
+    /// Bits by which the codes in the files are shifted left; import shifts them back.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub shift: u8,
-    /// Values of the files that make one code: those of converters whose codes were stretched, or
-    /// floating-point ones.
+    /// File value per code: for converters with stretched codes, or for floating-point values.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub step: f64,
-    /// Value of code 0 in the files.
+    /// File value of code 0.
     #[serde(default, skip_serializing_if = "is_nothing")]
     pub zero: f64,
     /// Axis of NumPy arrays and HDF5 datasets that counts the frames; absent: the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frames_axis: Option<u8>,
-    /// Dataset of frames in HDF5 files; absent: the only one that can be.
+    /// Dataset of frames in HDF5 files; absent: the only candidate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hdf5_dataset: Option<String>,
-    /// Row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is kept, of raw Bayer frames.
+    /// Row and column, 0 or 1, of the pixel kept of every 2 x 2 cell, for raw Bayer frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plane: Option<[u8; 2]>,
     /// Colour pattern of raw Bayer frames that are kept whole, such as RGGB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pattern: Option<String>,
-    /// Part of the frames that is kept, `[column, row, width, height]` counted from 0: what is cut off is
+    /// Region of the frames that is kept, `[column, row, width, height]` counted from 0; the rest is
     /// overscan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub region: Option<[usize; 4]>,
     /// Gain of all frames, dB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gain_db: Option<f64>,
-    /// Maker of the camera.
+    /// Manufacturer of the camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vendor: Option<String>,
-    /// Its model.
+    /// Model of the camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
     /// Serial number of the camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
-    /// What was found in the files and should be known, in words.
+    /// Findings in the files worth knowing, as sentences.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
-    /// Settings of all frames by their GenICam names, or those of FITS.
+    /// Settings of all frames by GenICam or FITS name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub features: BTreeMap<String, toml::Value>,
-    /// What frames that radcam wrote say of their camera and its settings.
+    /// Camera and settings as stated in frames written by radcam.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<CameraInfo>,
-    /// Sets in the order of time.
+    /// Sets in time order.
     #[serde(rename = "set")]
     pub sets: Vec<MapSet>,
 }
 
-/// Frames that share every setting.
+/// Frames with the same settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MapSet {
-    /// What they show: dark, flat, scene or target.
+    /// Kind: dark, flat, scene or target.
     pub kind: Kind,
     /// Exposure, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure_s: Option<f64>,
-    /// Light, relative; 0 for darks, and 1 where nothing is said.
+    /// Relative light; 0 for darks, and 1 if nothing is stated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub illumination: Option<f64>,
     /// Position of card and light.
@@ -88,28 +87,28 @@ pub struct MapSet {
     /// Sensor temperature, degrees Celsius.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub temperature_c: Option<f64>,
-    /// Mean over the frames, DN: tells flats of one exposure apart whose light nobody states.
+    /// Mean over the frames, DN: distinguishes flats of one exposure whose light is not stated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mean_dn: Option<f64>,
-    /// Whether the mean alone says that it is a dark or a flat.
+    /// True if only the mean determines the kind, dark or flat.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub kind_by_mean: bool,
-    /// Rows run from the bottom to the top in the files: they are turned.
+    /// True if rows run from bottom to top in the files: they are flipped.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub turned: bool,
-    /// Values with more than one reading, `key: why`. A set with a doubt is not imported: correct the value
-    /// and remove the line.
+    /// Ambiguous values, `key: why`. A set with a doubt is not imported: correct the value and remove
+    /// the line.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub doubts: Vec<String>,
-    /// What was guessed, `key: how`; the dataset says so.
+    /// Guessed values, `key: how`; the dataset states them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub guessed: Vec<String>,
-    /// Where each value comes from, `key: source`.
+    /// Source of each value, `key: source`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub from: Vec<String>,
-    /// Files in the order of time; `name.tiff#3` is page 3, counted from 0.
+    /// Files in time order; `name.tiff#3` is page 3, counted from 0.
     pub files: Vec<String>,
-    /// When each was taken, s from any moment that is the same for all; absent where it is not known.
+    /// Capture times, s since an arbitrary common epoch; absent if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times_s: Option<Vec<f64>>,
 }
@@ -131,11 +130,11 @@ fn is_nothing(x: &f64) -> bool {
 }
 
 impl Map {
-    /// Reads and checks.
+    /// Reads and checks a map.
     ///
     /// # Errors
     ///
-    /// Where the text is no map: line, key and what is wrong.
+    /// The text is not a map: line, key and fault.
     pub fn from_toml(text: &str) -> Result<Self, ImportError> {
         let map: Self =
             toml::from_str(text).map_err(|e| ImportError::Map(crate::input::echo_lines(&e.to_string())))?;
@@ -202,7 +201,7 @@ impl Map {
         Ok(map)
     }
 
-    /// Choices under which the files are read.
+    /// Returns the options for reading the files.
     pub fn read_options(&self) -> ReadOptions {
         ReadOptions {
             frames_axis: self.frames_axis.map(usize::from),
@@ -210,7 +209,7 @@ impl Map {
         }
     }
 
-    /// What one code is in the files. A `shift` of older maps is a step of as many bits.
+    /// Returns the scale of the codes in the files. A `shift` of older maps is a step of as many bits.
     pub fn scale(&self) -> Scale {
         match self.shift {
             0 => Scale { step: self.step, zero: self.zero },
@@ -218,10 +217,10 @@ impl Map {
         }
     }
 
-    /// What is to be filled in before it can be written, in words; empty where nothing is.
+    /// Describes values to be filled in before the dataset can be written; empty if complete.
     pub fn missing(&self) -> Vec<String> {
         let lowest = self.sets.iter().filter_map(|s| s.mean_dn).fold(f64::INFINITY, f64::min);
-        // Flats that say nothing of their light had the same where they are alike.
+        // Flats without a stated light had the same light if their signals are alike.
         let unlike = |a: &MapSet, b: &MapSet| {
             let stated = a.illumination.is_some() || b.illumination.is_some() || a.kind != b.kind;
             let signal = |s: &MapSet| s.mean_dn.map_or(0.0, |m| m - lowest);
@@ -233,7 +232,7 @@ impl Map {
             let first = s.files.first().map_or("no files", String::as_str);
             let other = self.sets.iter().position(|b| s.kind == Kind::Flat && unlike(s, b));
             let of_set = format!("set {k} ({}, {first})", s.kind);
-            // An exposure that is filled in settles what was doubtful of it.
+            // A filled-in exposure settles doubts about it.
             let open = |doubt: &&String| s.exposure_s.is_none() || !doubt.starts_with("exposure_s:");
             if let Some(doubt) = s.doubts.iter().find(open) {
                 let (key, why) = doubt.split_once(':').unwrap_or((doubt, ""));
@@ -249,7 +248,7 @@ impl Map {
             }
         };
         let mut out: Vec<String> = self.sets.iter().enumerate().filter_map(without).collect();
-        // Levels contradict exposures that were filled in, too.
+        // Filled-in exposures are checked against the levels too.
         let lit =
             self.sets.iter().enumerate().filter(|(_, s)| s.kind == Kind::Flat && s.illumination.is_none());
         let flats = lit.filter_map(|(k, s)| Some((k, s.exposure_s?, s.mean_dn?))).collect();
@@ -261,12 +260,12 @@ impl Map {
     }
 }
 
-/// Flats of one exposure whose signals differ by more had different light: lamps that are left alone stay
-/// within some per cent.
+/// Maximum relative difference between signals of one exposure under the same light: undisturbed lamps
+/// are stable to some per cent.
 pub(super) const SAME_LIGHT: f64 = 0.1;
 
 impl Map {
-    /// What was guessed, in sentences: each with the sets.
+    /// Describes the guesses, each with its sets.
     pub fn guessed(&self) -> Vec<String> {
         let mut of: BTreeMap<String, Vec<usize>> = BTreeMap::new();
         for (k, set) in self.sets.iter().enumerate() {

@@ -1,7 +1,8 @@
-//! Loose image files into a dataset folder.
+//! Import of loose image files into a dataset folder.
 //!
-//! [`survey`] looks at the files, [`propose`] sorts them into sets as a [`Map`], the user confirms or completes it, and [`write()`] copies the
-//! frames. What cannot be known is not guessed: [`Map::missing`] says what is to be filled in.
+//! [`survey`] reads the files, [`propose`] sorts them into sets as a [`Map`], the user confirms or
+//! completes it, and [`write()`] copies the frames. Unknown values are not guessed: [`Map::missing`]
+//! lists values to be filled in.
 
 mod camera;
 mod cards;
@@ -50,82 +51,83 @@ use source::Source;
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
 
-/// Why files cannot be imported.
+/// Errors of an import.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
-    /// A file cannot be read or is no frame.
+    /// File that cannot be read or is not a frame.
     #[error("{path}: {message}")]
     File {
         /// The file.
         path: PathBuf,
-        /// What is wrong, and what to do.
+        /// Fault, and what to do.
         message: String,
     },
-    /// The files do not make one dataset.
+    /// Files that do not form one dataset.
     #[error("{0}")]
     Files(String),
-    /// The map cannot be understood, or something is missing in it.
+    /// Map that cannot be parsed, or is incomplete.
     #[error("{0}")]
     Map(String),
-    /// The dataset cannot be written.
+    /// Dataset that cannot be written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// Stopped by its user.
+    /// Stopped by the user.
     #[error("interrupted; nothing was imported")]
     Interrupted,
 }
 
-/// A frame that was found: a file, or a page of one.
+/// Frame found in a file or in a page of one.
 #[derive(Debug, Clone)]
 pub struct Found {
     /// The file.
     pub path: PathBuf,
-    /// Its page, where it has several.
+    /// Page, if the file has several.
     pub page: Option<usize>,
-    /// What is known of it.
+    /// Known facts of the frame.
     pub facts: Facts,
     /// Rows and columns, without overscan.
     pub shape: (usize, usize),
-    /// Part of the frame in the file that is kept, and what is cut off, in words; `None` of whole frames.
+    /// Region of the frame in the file that is kept, and a description of the removed part; `None` for
+    /// whole frames.
     pub region: Option<(Region, String)>,
     /// Mean, DN.
     pub mean_dn: f64,
-    /// Every bit that any pixel has.
+    /// OR of all pixel codes.
     pub bits: u16,
-    /// The same without the first and the last row, where cameras write counters and times.
+    /// OR of the codes without the first and last row, where cameras write counters and times.
     pub inner_bits: u16,
-    /// Bits of a pixel as the file keeps it: 8, 16 or 32.
+    /// Bits per pixel in the file: 8, 16 or 32.
     pub stored_bits: u8,
-    /// Means of the four places of a 2 x 2 cell, DN: (0, 0), (0, 1), (1, 0), (1, 1) as (row, column).
+    /// Means of the four positions in a 2 x 2 cell, DN: (0, 0), (0, 1), (1, 0), (1, 1) as (row, column).
     pub cells_dn: [f64; 4],
-    /// Digest of the pixels, where a file of another format has the same name; else 0.
+    /// Digest of the pixels, if a file of another format has the same name; else 0.
     pub digest: u64,
-    /// What one code is in the files, the same for all: mean, cells and bits are of codes.
+    /// Scale of the codes in all files; mean, cells and bits are in codes.
     pub scale: Scale,
-    /// Its values are no codes of 16 bits, and are rounded to some.
+    /// True if its values are not 16-bit codes and are rounded to codes.
     pub is_rounded: bool,
-    /// Number of frames or pixels of which the values of all files may be the means.
+    /// Number of frames or pixels that the values of all files may be averages of.
     pub in_a_mean: Option<u32>,
 }
 
-/// Frames that were found, and files that cannot be read.
+/// Frames found, and unreadable files.
 #[derive(Debug, Default)]
 pub struct Survey {
-    /// Frames in the order of time, or of their names where not all have a time.
+    /// Frames in time order, or sorted by name if any lacks a time.
     pub frames: Vec<Found>,
-    /// Files that cannot be read, or are of another size than most, each with the reason.
+    /// Files that cannot be read, or differ in size from most, each with the reason.
     pub damaged: Vec<(PathBuf, String)>,
-    /// What was passed over, in words.
+    /// Notes on skipped frames and files.
     pub notes: Vec<String>,
 }
 
-/// Reads every file and page. A frame that lies there in two formats counts once.
+/// Reads every file and page. A frame stored in two formats counts once.
 ///
 /// # Errors
 ///
-/// Files of several sizes none of which is that of most, two files of one name and other pixels, or that it
-/// was stopped.
+/// Files of several sizes without a majority, two files of one name with different pixels, or a stop by
+/// the user.
 pub fn survey(
     paths: &[PathBuf],
     options: &ReadOptions,
@@ -166,15 +168,15 @@ pub fn survey(
     out.damaged.extend(one_size(&mut out.frames)?);
     in_codes(&mut out.frames, &census)?;
     without_shared_stamps(&mut out.frames);
-    // The order of time is what matters; where it is not known for all, that of the names.
+    // Sort by time; by name if any time is unknown.
     if out.frames.iter().all(|f| f.facts.time_s.is_some()) {
         out.frames.sort_by(|a, b| a.facts.time_s.unwrap_or(0.0).total_cmp(&b.facts.time_s.unwrap_or(0.0)));
     }
     Ok(out)
 }
 
-/// Takes times of names away where they are not those of all frames, or most frames share one with another: names
-/// of a session, or of frames that follow one another faster than the stamps.
+/// Removes times derived from names unless all frames have them and most are unique: otherwise the names
+/// are those of a session, or the frames follow one another faster than the stamps resolve.
 fn without_shared_stamps(frames: &mut [Found]) {
     let is_of_name = |f: &Found| f.facts.from.get("time_s").is_some_and(|from| from == names::NAME);
     let mut times: Vec<u64> =
@@ -189,7 +191,7 @@ fn without_shared_stamps(frames: &mut [Found]) {
     }
 }
 
-/// Leaves out frames of objects where darks and flats are stated beside them.
+/// Excludes frames of objects if darks and flats are stated beside them.
 fn without_objects(frames: &mut Vec<Found>) -> Option<String> {
     let stated = |kind: Kind| frames.iter().any(|f| f.facts.kind == Some(kind));
     let is_object = |f: &Found| f.facts.object && f.facts.kind.is_none();
@@ -208,7 +210,7 @@ fn without_objects(frames: &mut Vec<Found>) -> Option<String> {
     })
 }
 
-/// Every frame of a file, and notes on what was passed over. `names`: facts of names and sidecar file.
+/// Reads every frame of a file, and notes on skipped frames. `names`: facts of names and sidecar file.
 fn frames_of(
     path: &Path,
     source: &Source,
@@ -240,7 +242,7 @@ fn frames_of(
             image::Values::Codes(codes) => codes.dim(),
             image::Values::Numbers(numbers) => numbers.dim(),
         };
-        // Programs append a small picture for browsers to a frame, and not all mark it as one.
+        // Programs append a thumbnail to a frame, and not all mark it as one.
         if out.first().is_some_and(|f| 2 * rows <= f.shape.0 && 2 * columns <= f.shape.1) {
             thumbnails += 1;
             continue;
@@ -257,7 +259,7 @@ fn frames_of(
         let (pixels, bits, inner_bits) = match values {
             image::Values::Codes(codes) => {
                 let of = |part: ArrayView2<'_, u16>| part.iter().fold(0, |a, b| a | b);
-                // One or two rows have none between.
+                // A frame of one or two rows has no inner rows.
                 let rows = codes.nrows();
                 let inner = if rows > 2 { of(codes.slice(s![1..rows - 1, ..])) } else { of(codes.view()) };
                 (codes.mapv(f64::from), of(codes.view()), inner)
@@ -268,7 +270,7 @@ fn frames_of(
         let mean = |pixels: ArrayView2<'_, f64>| pixels.iter().sum::<f64>() / pixels.len().max(1) as f64;
         let cell = |y: usize, x: usize| mean(pixels.slice(s![y.., x..]).slice(s![..;2, ..;2]));
         let whole = shape.0 >= 2 && shape.1 >= 2;
-        // The one time of a stack is that of its first page.
+        // The single time of a stack is that of its first page.
         let mut header = header.clone();
         header.time_s = header.time_s.filter(|_| pages.len() == 1);
         let mut facts = match source.told(page) {
@@ -279,7 +281,7 @@ fn frames_of(
             }
             None => Facts { time_s: of_file.time_s.filter(|_| pages.len() == 1), ..of_file.clone() },
         };
-        // The pattern of a header begins at the first pixel of the file.
+        // The pattern in a header begins at the first pixel of the file.
         if let Some(region) = &region {
             let first = [region.columns.start, region.rows.start].map(|n| (n % 2) as i64);
             facts.mosaic = facts.mosaic.map(|pattern| words::shifted(&pattern, first));
@@ -320,7 +322,7 @@ fn frames_of(
     Ok((out, notes))
 }
 
-/// Brings what was found of the values into codes of one scale.
+/// Converts the survey values to codes of one scale.
 fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
     let scale = census.scale().map_err(ImportError::Files)?;
     let bits = census.highest(&scale);
@@ -331,26 +333,27 @@ fn in_codes(found: &mut [Found], census: &Census) -> Result<(), ImportError> {
         frame.mean_dn = scale.of(frame.mean_dn);
         frame.cells_dn = frame.cells_dn.map(|mean| scale.of(mean));
         if frame.is_rounded || !scale.is_identity() {
-            // Of all codes together is enough: the depth is one.
+            // The OR of all codes suffices, as all frames have one depth.
             (frame.bits, frame.inner_bits) = (bits, bits);
         }
     }
     Ok(())
 }
 
-/// Facts of a file and its number of pages: header before sidecar file before name. Tables of a folder are
-/// those of an import: looked up for every frame of a stream they would cost more than the frame.
+/// Returns the facts of a file and its number of pages; header takes precedence over sidecar file, and
+/// that over name. Tables of a folder are read only by an import: a lookup for every frame of a stream
+/// would cost more than the frame.
 ///
 /// # Errors
 ///
-/// Where the file cannot be read.
+/// The file cannot be read.
 pub fn facts(path: &Path) -> Result<(Facts, usize), ImportError> {
     let (header, pages) =
         headers::facts(path).map_err(|message| ImportError::File { path: path.into(), message })?;
     Ok((header.or(sidecar::facts(path)).or(named(path, path.parent().unwrap_or(Path::new("")))), pages))
 }
 
-/// Facts of a file's name and of the folders above it, from the one that all files have in common downwards.
+/// Reads facts from a file name and the folders above it, from the common folder downwards.
 fn named(path: &Path, common: &Path) -> Facts {
     let parent = path.parent().unwrap_or(Path::new(""));
     let word = |c: Component<'_>| match c {
@@ -364,7 +367,7 @@ fn named(path: &Path, common: &Path) -> Facts {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let own = all.len().saturating_sub(above);
     let mut facts = names::facts_in(&folders, own, &name);
-    // Of the folder above the common one only the kind counts: flat/1ms alone is a flat.
+    // From the folder above the common one only the kind is used: flat/1ms alone is a flat.
     if let Some(above) = from.checked_sub(1).and_then(|at| all.get(at)).filter(|a| !a.starts_with('.'))
         && facts.kind.is_none()
         && kinds::alone(above)
@@ -375,7 +378,7 @@ fn named(path: &Path, common: &Path) -> Facts {
     facts
 }
 
-/// The deepest folder above all files.
+/// Returns the deepest folder above all files.
 fn common_folder(paths: &[PathBuf]) -> PathBuf {
     let mut folders = paths.iter().map(|p| p.parent().unwrap_or(Path::new("")));
     let first = folders.next().unwrap_or(Path::new(""));
@@ -385,11 +388,11 @@ fn common_folder(paths: &[PathBuf]) -> PathBuf {
     folders.fold(first.into(), shared)
 }
 
-/// Takes the files of another size than that of most frames out, with the reason.
+/// Removes files that differ in size from most frames, with the reason.
 ///
 /// # Errors
 ///
-/// Files of several sizes of which none is that of most.
+/// Files of several sizes without a majority.
 fn one_size(frames: &mut Vec<Found>) -> Result<Vec<(PathBuf, String)>, ImportError> {
     let mut counts: Vec<((usize, usize), usize)> = Vec::new();
     for frame in frames.iter() {
@@ -401,7 +404,7 @@ fn one_size(frames: &mut Vec<Found>) -> Result<Vec<(PathBuf, String)>, ImportErr
     if counts.len() < 2 {
         return Ok(Vec::new());
     }
-    // The size of most; of several the first.
+    // Most frequent size; on a tie the first.
     let most = counts.iter().map(|(_, n)| *n).max().unwrap_or(0);
     let usual = counts.iter().find(|(_, n)| *n == most).map_or((0, 0), |(shape, _)| *shape);
     let of = |shape: (usize, usize)| format!("{} x {} px", shape.1, shape.0);
@@ -420,10 +423,10 @@ fn one_size(frames: &mut Vec<Found>) -> Result<Vec<(PathBuf, String)>, ImportErr
     Ok(odd)
 }
 
-/// Texts that are listed in a message.
+/// Maximum number of texts listed in a message.
 const LISTED: usize = 8;
 
-/// The first of many texts, and how many there are more.
+/// Lists the first of many texts, and the number of the others.
 pub(crate) fn few(texts: &[String]) -> String {
     match texts.len().saturating_sub(LISTED) {
         0 => texts.join("; "),
@@ -431,26 +434,27 @@ pub(crate) fn few(texts: &[String]) -> String {
     }
 }
 
-/// Signal in a frame: so much of the full scale above the darkest frame at least.
+/// Minimum signal above the darkest frame, relative to full scale, of a lit frame.
 const LIT: f64 = 0.02;
 
-/// The colour filter that headers tell of.
+/// Returns the colour filter stated in headers.
 pub fn stated_mosaic(found: &[Found]) -> Option<String> {
     found.iter().find_map(|f| f.facts.mosaic.clone())
 }
 
-/// Two files whose headers tell of two colour filters, with what they say.
+/// Returns two files whose headers state different colour filters, with these.
 pub fn mosaics_at_odds(found: &[Found]) -> Option<[(&Path, &str); 2]> {
     let mut stated = found.iter().filter_map(|f| Some((f.path.as_path(), f.facts.mosaic.as_deref()?)));
     let first = stated.next()?;
     stated.find(|other| other.1 != first.1).map(|other| [first, other])
 }
 
-/// By how much the four places of a 2 x 2 cell differ in the brightest frame, over its signal: raw Bayer frames do by tens of per cent.
+/// Returns the spread of the four positions of a 2 x 2 cell in the brightest frame, relative to its
+/// signal: tens of per cent for raw Bayer frames.
 pub fn mosaic(found: &[Found]) -> f64 {
     let lowest = found.iter().map(|f| f.mean_dn).fold(f64::INFINITY, f64::min);
     let brightest = found.iter().max_by(|a, b| a.mean_dn.total_cmp(&b.mean_dn));
-    // Of darks alone nothing can be said.
+    // Darks alone give no answer.
     let Some(brightest) = brightest.filter(|f| f.mean_dn - lowest > LIT * f64::from(f.bits)) else {
         return 0.0;
     };
@@ -461,10 +465,10 @@ pub fn mosaic(found: &[Found]) -> f64 {
     (high - low) / (brightest.mean_dn - lowest).max(1.0)
 }
 
-/// Cells that differ by more are those of a colour filter: of monochrome sensors they agree to a few per mille.
+/// Minimum spread of cells under a colour filter: those of monochrome sensors agree to a few per mille.
 pub const MOSAIC: f64 = 0.1;
 
-/// The usual depth that holds these codes.
+/// Returns the usual bit depth that holds these codes.
 fn depth_of(bits: u16) -> u8 {
     let needed = (u16::BITS - bits.leading_zeros()) as u8;
     [8, 10, 12, 14, 16].into_iter().find(|d| *d >= needed).unwrap_or(16)

@@ -1,4 +1,4 @@
-//! What file names and folders say of a frame.
+//! Facts of a frame from file names and folders.
 
 use super::values::{self, Reading};
 use super::words::pattern;
@@ -10,58 +10,58 @@ use std::ops::Range;
 pub use super::kinds::kind;
 pub use super::stamps::stem;
 
-/// A number in a name, with the letters on both sides of it.
+/// Number in a name, with the letters on both sides.
 #[derive(Debug, PartialEq)]
 pub(super) struct Number<'a> {
-    /// Word in front of it, separators between them passed over.
+    /// Preceding word, with separators skipped.
     pub before: &'a str,
-    /// Digits as they stand.
+    /// Digits as written.
     pub text: &'a str,
-    /// Its readings.
+    /// Possible readings.
     pub reading: Reading,
-    /// Letters behind it.
+    /// Letters after the number.
     pub unit: &'a str,
-    /// Its place in the name.
+    /// Position in the name.
     pub place: Range<usize>,
-    /// Place of its unit.
+    /// Position of the unit.
     unit_place: Range<usize>,
-    /// Temperature, degrees Celsius, where it is one. NaN where its sign may be a separator.
+    /// Temperature, degrees Celsius, if the number is one. NaN if its sign may be a separator.
     pub temperature_c: Option<f64>,
-    /// Part of a binning, `2x2`.
+    /// True for part of a binning, `2x2`.
     pub binning: bool,
-    /// A sign stands between it and the word in front of it.
+    /// True if a separator stands between the number and the preceding word.
     apart: bool,
 }
 
-/// Words in front of a number that is a setting.
+/// Words before a number that is a gain.
 const GAIN: &[&str] = &["gain", "gainraw"];
 const ISO: &[&str] = &["iso"];
-/// Least number behind `EM` that is a multiplication of electrons: lower ones count.
+/// Minimum number after `EM` that is an electron-multiplication gain: lower ones are counters.
 const MIN_EM_GAIN: f64 = 10.0;
-/// Letter in front of a gain: `g120`.
+/// Letter before a gain: `g120`.
 const GAIN_LETTER: &[&str] = &["g"];
 /// Words for one of several cameras: `cam1`.
 const CAMERA: &[&str] = &["cam", "camera"];
 const SERIAL: &[&str] = &["sn", "serial", "ser"];
-/// Letters behind a number that is a depth.
+/// Words after a number that is a bit depth.
 const BITS: &[&str] = &["bit", "bits"];
 /// Words for one of two conversion gains.
 const CONVERSION: &[&str] = &["lcg", "hcg"];
 const BIN: &[&str] = &["bin", "binning"];
 const BLACK: &[&str] = &["offset", "blacklevel", "blklevel", "black"];
 const LIGHT: &[&str] = &["light", "illum", "illumination", "level"];
-/// Position of card and light, as a dataset counts them.
+/// Words before the position of card and light, as counted in a dataset.
 const CONFIGURATION: &[&str] = &["config", "configuration", "conf", "cfg"];
 const EXPOSURE: &[&str] =
     &["exp", "exposure", "exptime", "exposuretime", "texp", "shutter", "integration", "inttime"];
 const TEMPERATURE: &[&str] = &["temp", "temperature", "sensortemp", "ccdtemp", "settemp"];
-/// Words in front of a time that is no exposure.
+/// Words before a time that is not an exposure.
 const OTHER_TIMES: &[&str] = &[
     "delay", "wait", "waited", "interval", "every", "period", "after", "pause", "settle", "total", "warmup",
 ];
 
-/// Returns true if a hyphen alone stands between a number and the one at a place, where other signs part the
-/// other words of the name, and no word before them is one that numbers count.
+/// Returns true if only a hyphen separates a number from the one at the given position, while other
+/// separators part the words of the name, and no preceding word is one that counters follow.
 fn is_range(name: &str, first: &Number<'_>, at: usize) -> bool {
     let ahead = name[..first.place.start].trim_end_matches(|c: char| c.is_ascii_digit());
     let named = first.before.is_empty() || kind(first.before).is_some() || is(first.before, EXPOSURE);
@@ -86,18 +86,18 @@ impl Number<'_> {
         self.text.contains(['.', ',', 'p'])
     }
 
-    /// Black level as a setting: `offset50`, and no counter as in `offset_001`.
+    /// Returns true for a black level setting: `offset50`, but not a counter as in `offset_001`.
     fn is_black_level(&self) -> bool {
         is(self.before, BLACK) && !self.is_padded()
     }
 
-    /// A multiplication of electrons: `EM300`, `emgain200`.
+    /// Returns true for an electron-multiplication gain: `EM300`, `emgain200`.
     fn is_em_gain(&self) -> bool {
         let is_large = self.value().is_some_and(|v| v >= MIN_EM_GAIN);
         is(self.before, &["emgain"]) || self.before == "EM" && !self.apart && !self.is_padded() && is_large
     }
 
-    /// Not a setting: it may count.
+    /// Returns true for a number that is not a setting and may be a counter.
     pub fn is_free(&self) -> bool {
         let setting = [GAIN, ISO, BIN, EXPOSURE, TEMPERATURE, CONFIGURATION]
             .into_iter()
@@ -115,28 +115,29 @@ impl Number<'_> {
             && !self.is_exposure_behind_its_unit()
     }
 
-    /// A number with a zero in front, as counters have it.
+    /// Returns true for a number with a leading zero, as in counters.
     fn is_padded(&self) -> bool {
         self.text.len() > 1 && self.text.starts_with('0')
     }
 
-    /// A number with zeros in front, apart from the word before it: `low gain_0001` and `Flat-013L`.
+    /// Returns true for a number with leading zeros, separated from the preceding word: `low gain_0001`
+    /// and `Flat-013L`.
     pub fn is_counter(&self) -> bool {
         let padded = self.text.len() >= 3 && self.text.starts_with('0');
         padded && self.apart && self.text.bytes().all(|b| b.is_ascii_digit()) && seconds(self.unit).is_none()
     }
 
-    /// `Sec120.00`, as N.I.N.A. users write it.
+    /// Returns true for an exposure after its unit: `Sec120.00`, as N.I.N.A. users write it.
     fn is_exposure_behind_its_unit(&self) -> bool {
         self.unit.is_empty() && !self.before.eq_ignore_ascii_case("s") && seconds(self.before).is_some()
     }
 }
 
-/// The unit of time behind a number and a separator: `5_secs`, `10 ms`, `0.05 s`.
+/// Returns the unit of time after a number and a separator: `5_secs`, `10 ms`, `0.05 s`.
 fn unit_behind<'a>(number: &str, rest: &'a str) -> &'a str {
     let Some(word) = rest.strip_prefix(['_', ' ', '-']) else { return "" };
     let (word, behind) = word.split_at(word.find(|c: char| !c.is_alphabetic()).unwrap_or(word.len()));
-    // One letter may begin anything; behind a decimal point, with a separator behind it, it is the second.
+    // A single letter may begin any word; after a decimal point and before a separator, s means second.
     if word == "s"
         && number.contains(['.', ','])
         && !behind.starts_with(|c: char| c.is_alphanumeric() || c == '=')
@@ -146,7 +147,7 @@ fn unit_behind<'a>(number: &str, rest: &'a str) -> &'a str {
     if word.len() > 1 && !word.eq_ignore_ascii_case("min") && seconds(word).is_some() { word } else { "" }
 }
 
-/// Every number of a name. A point, a comma or a p between digits is the decimal point.
+/// Finds every number of a name. A point, a comma or a p between digits is the decimal point.
 pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
     let bytes = name.as_bytes();
     let digit = |i: usize| bytes.get(i).is_some_and(u8::is_ascii_digit);
@@ -160,7 +161,7 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
         }
         let mut end = at;
         let mut pointed = false;
-        // flat.0001.10ms: a counter, and no number of 1.1.
+        // In flat.0001.10ms the first number is a counter; the number is not 1.1.
         let padded = (at..at + 3).all(digit) && bytes[at] == b'0';
         let counter = padded && name[..at].ends_with('.');
         while digit(end)
@@ -169,7 +170,7 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
             pointed |= !digit(end);
             end += 1;
         }
-        // 1e-3, not the e of a word.
+        // Exponent of 1e-3, not the e of a word.
         let sign = usize::from(matches!(bytes.get(end + 1), Some(b'-' | b'+')));
         if matches!(bytes.get(end), Some(b'e' | b'E')) && digit(end + 1 + sign) {
             end += 1 + sign;
@@ -182,7 +183,7 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
         let from = ahead
             .rfind(|c: char| !letter(c))
             .map_or(0, |i| i + ahead[i..].chars().next().map_or(1, char::len_utf8));
-        // Letters behind a number are its unit, and no word of the next.
+        // Letters after a number are its unit, not a word before the next number.
         let word = from..from + ahead[from..].len();
         let owned = out.last().is_some_and(|n| n.unit_place == word)
             || (name[..from].ends_with(|c: char| c.is_ascii_digit()) && seconds(&ahead[from..]).is_some());
@@ -190,7 +191,7 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
         let rest = &name[end..];
         let letters = rest.strip_prefix('°').unwrap_or(rest);
         let unit = &letters[..letters.find(|c: char| !letter(c)).unwrap_or(letters.len())];
-        // A unit ends a word: the s of `2s0` is none.
+        // A unit ends a word: the s of `2s0` is not a unit.
         let ends = !letters[unit.len()..].starts_with(|c: char| c.is_ascii_digit());
         let unit = match unit {
             "" => unit_behind(text, rest),
@@ -205,13 +206,13 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
         let nina = minus && pointed && unit.is_empty();
         let temperature_c =
             value.one().filter(|v| (degrees || named || nina) && *v <= 100.0).map(|v| match signed {
-                // N.I.N.A.'s word, whose hyphen is a minus.
+                // Word of N.I.N.A., whose hyphen is a minus sign.
                 Some(_) if minus || before.eq_ignore_ascii_case("sensortemp") => -v,
                 Some(_) => f64::NAN,
                 None => v,
             });
         let unit_place = match unit {
-            // An empty unit has no place that a word could have.
+            // An empty unit has no position that could coincide with a word.
             "" => 0..0,
             _ => {
                 let start = end + rest.find(unit).unwrap_or(0);
@@ -231,12 +232,12 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
         });
         at = end;
     }
-    // Of a random name no part means anything.
+    // Parts of a random name have no meaning.
     let random = stamps::digests(name);
     for n in out.iter_mut().filter(|n| random.iter().any(|r| r.contains(&n.place.start))) {
         (n.before, n.unit, n.temperature_c, n.binning) = ("", "", None, false);
     }
-    // Between a time stamp and the exposure N.I.N.A. writes the temperature, which has no unit.
+    // N.I.N.A. writes the temperature, without a unit, between time stamp and exposure.
     if !stamps::stamps(name).is_empty() {
         for k in 1..out.len() {
             let (a, b) = (&out[k - 1], &out[k]);
@@ -255,13 +256,13 @@ pub(super) fn numbers(name: &str) -> Vec<Number<'_>> {
     out
 }
 
-/// Shutter speeds 1/n s that are written as `1-250s` where a name cannot have a slash.
+/// Denominators of shutter speeds 1/n s, written as `1-250s` because a name cannot have a slash.
 const DENOMINATORS: [f64; 26] = [
     2.0, 4.0, 8.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 125.0, 160.0, 200.0, 250.0, 320.0,
     400.0, 500.0, 640.0, 800.0, 1000.0, 2000.0, 2500.0, 4000.0, 8000.0,
 ];
 
-/// A number as it is read between what stands in front of it and its unit.
+/// Interprets a number, given the text before it and its unit.
 fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Number<'_>>) -> Reading {
     let plain = text.replace('p', ".");
     let value = values::number(&plain).0;
@@ -270,7 +271,7 @@ fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Numbe
     let separated = |head: &str| head.is_empty() || head.ends_with(['_', '-', ' ', '=', '(']);
     if let Some(last) = last.filter(|l| l.place.end < at) {
         let between = &name[last.place.end..at];
-        // 10.000,5ms has two signs, and 1s500ms two units.
+        // 10.000,5ms has two decimal signs, and 1s500ms two units.
         let signs = matches!(between, "." | ",") && last.pointed();
         if signs || (last.unit.is_empty() && seconds(between).is_some() && seconds(unit).is_some()) {
             return Reading::None;
@@ -284,7 +285,8 @@ fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Numbe
     {
         return Reading::Two(first, number);
     }
-    // A point before three digits parts thousands in many languages; cameras set no thousandths of a microsecond.
+    // A point before three digits groups thousands in many languages; no camera sets thousandths of a
+    // microsecond.
     let grouped = plain.split_once('.').is_some_and(|(whole, rest)| {
         rest.len() == 3 && (1..=3).contains(&whole.len()) && !whole.starts_with('0')
     });
@@ -294,13 +296,13 @@ fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Numbe
     if !pointed && before.strip_suffix('.').is_some_and(separated) {
         return values::number(&format!("0.{plain}")).0;
     }
-    // Points may part the words of this name: flat.12.10ms, 0001.10ms.
+    // Points may separate the words of the name: flat.12.10ms, 0001.10ms.
     let of_points = before.strip_suffix('.').is_some_and(|head| head.ends_with(char::is_alphabetic))
         || (at == 0 && plain.starts_with("00"));
     if let Some((_, rest)) = plain.split_once('.').filter(|_| of_points) {
         return values::number(rest).0.one().map_or(value, |rest| Reading::Two(number, rest));
     }
-    // flat_0_25ms: the sign stands for the decimal point, or counts.
+    // flat_0_25ms: the separator stands for the decimal point, or follows a counter.
     let no_point = ["_", "-", " ", "'", "pt", "dot", "d"];
     let of_none = no_point
         .iter()
@@ -322,7 +324,7 @@ fn in_context(name: &str, at: usize, text: &str, unit: &str, last: Option<&Numbe
     value
 }
 
-/// Whether a digit is one of `2x2`.
+/// Returns true if a number is part of a binning such as `2x2`.
 fn is_binning(name: &str, at: usize, end: usize) -> bool {
     let bytes = name.as_bytes();
     let digit = |i: Option<usize>| i.and_then(|i| bytes.get(i)).is_some_and(|b| (b'1'..=b'8').contains(b));
@@ -337,22 +339,23 @@ fn is_binning(name: &str, at: usize, end: usize) -> bool {
     single && (first || second) && seconds(unit).is_none()
 }
 
-/// Exposures that a text tells, s.
+/// Exposures stated in a text, s.
 #[derive(Debug, Default, PartialEq)]
 struct Exposures {
     found: Vec<f64>,
     doubt: Option<String>,
 }
 
-/// Word between a time and the number behind it, signs left off; `None` if the first is no time.
+/// Returns the word between a time and the next number, without separators; `None` if the first is not a
+/// time.
 fn word_between<'a>(text: &'a str, time: &Number<'_>, next: &Number<'_>) -> Option<&'a str> {
     let between = text.get(time.unit_place.end..next.place.start)?;
     seconds(time.unit).map(|_| between.trim_matches(|c: char| !c.is_alphanumeric()))
 }
 
-/// Word that says what each number is: the one in front of it, and in names that write it behind their times
-/// (`2.5ms-exp_100ms-period`) that one. A name writes it behind if a hyphen ties it to the time, or if it
-/// ends with one.
+/// Returns the word that labels each number: the preceding word, or, in names that write labels after
+/// their times (`2.5ms-exp_100ms-period`), the following one. A label follows if a hyphen ties it to the
+/// time, or if the name ends with one.
 fn labels<'a>(text: &'a str, numbers: &[Number<'a>]) -> Vec<&'a str> {
     let is_label = |word: &str| is(word, EXPOSURE) || is(word, OTHER_TIMES);
     let times: Vec<usize> = (0..numbers.len()).filter(|k| seconds(numbers[*k].unit).is_some()).collect();
@@ -364,7 +367,7 @@ fn labels<'a>(text: &'a str, numbers: &[Number<'a>]) -> Vec<&'a str> {
         let (signs, word) = (&rest[..rest.len() - word.len()], word);
         let word = &word[..word.find(|c: char| !c.is_alphabetic()).unwrap_or(word.len())];
         let after = &rest[signs.len() + word.len()..];
-        // The word may be of the next number as well if only a separator parts them.
+        // The word may also belong to the next number if only a separator parts them.
         let is_last = numbers.get(k + 1).is_none_or(|n| n.before != word);
         let tied = signs == "-" && after.starts_with(['_', ' ']);
         (is_label(word) && !signs.is_empty()).then_some((word, tied, is_last))
@@ -375,7 +378,7 @@ fn labels<'a>(text: &'a str, numbers: &[Number<'a>]) -> Vec<&'a str> {
             && times.first().is_some_and(|k| !is_label(numbers[*k].before)));
     let of = |k: usize| match behind(k) {
         Some((word, _, is_last)) if seconds(numbers[k].unit).is_some() && (write_behind || is_last) => word,
-        // The word in front is that of the time before.
+        // The preceding word labels the previous time.
         _ if write_behind && k > 0 && behind(k - 1).is_some_and(|b| b.0 == numbers[k].before) => "",
         _ => numbers[k].before,
     };
@@ -396,19 +399,19 @@ fn exposures(text: &str) -> Exposures {
             None => continue,
         };
         let label = labels[k];
-        // The word of 5min_warmup_10ms may be of either time.
+        // The word in 5min_warmup_10ms may label either time.
         let of_either = k.checked_sub(1).and_then(|k| numbers.get(k)).is_some_and(|last| {
             let glued = text[..number.place.start].ends_with(char::is_alphabetic);
             label == number.before && word_between(text, last, number) == Some(label) && !glued
         });
-        // A time of day is no exposure, and neither is a pause.
-        // A dark after the flats is as long as its only time says.
+        // A time of day is not an exposure, nor is a pause. If a dark "after" the flats has a single
+        // time, that is its exposure.
         let alone = times == 1 && is(label, &["after"]);
         if stamps::is_stamp(text, &number.place) || (is(label, OTHER_TIMES) && !of_either && !alone) {
             continue;
         }
         match number.reading {
-            // Of a bias frame 0 is the exposure; of others it is not known.
+            // 0 is the exposure of a bias frame; for others it means unknown.
             Reading::One(value) if value > 0.0 || (value == 0.0 && kinds::of(text).bias) => {
                 let seconds = values::in_seconds(value, unit_s);
                 if is(label, EXPOSURE) { sure.push(seconds) } else { out.found.push(seconds) }
@@ -434,19 +437,19 @@ fn exposures(text: &str) -> Exposures {
     out
 }
 
-/// Source of what a file's own name tells.
+/// Source name of facts from a file's own name.
 pub const NAME: &str = "the file's name";
 
-/// Facts of a path: of its last folder's name and of its own, which counts more.
+/// Reads facts from a path: the last folder's name and the file name, which takes precedence.
 pub fn facts(folder: &str, name: &str) -> Facts {
     facts_in(&[folder], 1, name)
 }
 
-/// Facts of a name and of the folders above it, the nearest first: what a folder says counts where nothing nearer
-/// says it. All frames lie in the folders behind the first `own`: such a one tells the kind if its name tells
-/// nothing else (`Flats`, and not `dark_current_study`).
+/// Reads facts from a name and the folders above it, the nearest first; nearer names take precedence.
+/// All frames lie in the folders beyond the first `own`: such a folder states the kind only if its name
+/// states nothing else (`Flats`, but not `dark_current_study`).
 pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
-    // A hidden folder is named by a program, not by the user.
+    // Hidden folders are named by programs, not by the user.
     let hidden = |f: &str| f.starts_with('.') || f.is_empty();
     let folders = folders.iter().enumerate().filter(|(_, f)| !hidden(f));
     let folders: Vec<(&str, bool)> = folders.map(|(k, f)| (*f, k < own.max(1) || kinds::alone(f))).collect();
@@ -478,7 +481,8 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
             }
             _ => {}
         }
-        // What a time or a gain is of is told by the nearest two names; further up folders hold projects.
+        // The meaning of a time or gain is taken from the nearest two names; folders further up are
+        // projects.
         if place <= 2 {
             let exposures = exposures(text);
             match (exposures.found.first(), &exposure_of) {
@@ -507,7 +511,7 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
     if out.time_s.is_some() {
         out.from.insert("time_s".into(), NAME.into());
     }
-    // Further up folders hold projects.
+    // Folders further up are projects.
     for (place, (of, text, _)) in texts.iter().enumerate().take(3) {
         if let Some(why) = kinds::processed(text) {
             let of = if place == 0 { String::new() } else { format!("{of}: ") };
@@ -518,7 +522,7 @@ pub fn facts_in(folders: &[&str], own: usize, name: &str) -> Facts {
     out
 }
 
-/// Gain, black level, binning, light and temperature of one text.
+/// Reads gain, black level, binning, light and temperature from one text.
 fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
     if let Some(word) = text.split(|c: char| !c.is_alphabetic()).find(|word| is(word, CONVERSION)) {
         out.set_feature("ConversionGain", &word.to_uppercase(), of);
@@ -543,7 +547,7 @@ fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
     for number in numbers(text) {
         let Some(value) = number.value().filter(|_| !number.is_counter()) else { continue };
         let word = number.before;
-        // `low_gain_20ms`: a time is no gain.
+        // `low_gain_20ms`: a time is not a gain.
         if seconds(number.unit).is_some() {
             continue;
         }
@@ -596,16 +600,16 @@ fn settings(text: &str, of: &str, strong: bool, out: &mut Facts) {
     }
 }
 
-/// A part of a name as it is ordered.
+/// Part of a name for natural sorting.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// Digits, by their size, and what stands behind a decimal point.
+    /// Digits, sorted by value, and decimals.
     Number(u64, String),
-    /// Anything else.
+    /// Any other text.
     Text(String),
 }
 
-/// A name as it is ordered: `a_9` before `a_10`, `x0.25` before `x0.5`.
+/// Splits a name for natural sorting: `a_9` before `a_10`, `x0.25` before `x0.5`.
 pub fn natural(name: &str) -> Vec<Part> {
     let mut out: Vec<Part> = Vec::new();
     let mut rest = name;

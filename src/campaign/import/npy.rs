@@ -1,6 +1,6 @@
-//! Arrays of NumPy: any whole or floating-point type, either byte order, either order in memory (NEP 1).
+//! NumPy arrays: any integer or floating-point type, either byte order, either memory order (NEP 1).
 //!
-//! `ndarray-npy` reads the types and the byte order of this machine only, so the header is read here.
+//! `ndarray-npy` reads only the types and the byte order of this machine, so the header is parsed here.
 
 use crate::input;
 use ndarray::{Array2, Array3, ArrayD, Axis, Ix3, IxDyn, ShapeBuilder};
@@ -9,11 +9,11 @@ use std::path::Path;
 /// Frames, rows, columns.
 pub type Stack = Array3<f64>;
 
-/// Columns up to which the last axis of a stack may count frames (a named choice: no sensor is that narrow,
-/// and few windows are).
+/// Maximum length of the last axis at which it may be the frame axis (a named choice: no sensor is that
+/// narrow, and few windows are).
 const NARROWEST: usize = 16;
 
-/// Most axes of an array of NumPy (NPY_MAXDIMS of version 2).
+/// Maximum number of axes of a NumPy array (NPY_MAXDIMS of version 2).
 const MAX_AXES: usize = 64;
 
 struct Header {
@@ -26,7 +26,7 @@ struct Header {
     at: usize,
 }
 
-/// The value of a key of the header, which is a Python dictionary.
+/// Returns the value of a key of the header, a Python dictionary.
 fn entry<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     let rest = text.split_once(&format!("'{key}'"))?.1.trim_start().strip_prefix(':')?.trim_start();
     let end = match rest.chars().next()? {
@@ -73,8 +73,8 @@ fn header(bytes: &[u8]) -> Result<Header, String> {
     })
 }
 
-/// Reads an array as frames, rows, columns. `axis` is the one that counts the frames; without it the first
-/// does, unless the numbers say otherwise: then it is asked for.
+/// Reads an array as frames, rows, columns. `axis` counts the frames; by default the first axis does,
+/// unless the values contradict it: then the user is asked.
 pub fn read(path: &Path, axis: Option<usize>) -> Result<Stack, String> {
     stack(&input::bytes(path).map_err(|e| e.to_string())?, axis)
 }
@@ -87,8 +87,7 @@ fn stack(bytes: &[u8], axis: Option<usize>) -> Result<Stack, String> {
         let shape = input::echo(&format!("{:?}", header.shape));
         format!("cut short: the file ends before the numbers of its shape {shape} do")
     })?;
-    // The product of the axes that are not 0 may be beyond what an array can count: `ndarray` refuses such a
-    // shape by a panic.
+    // The product of the nonzero axes may overflow: `ndarray` panics on such a shape.
     if header.shape.contains(&0) || header.shape.len() > MAX_AXES {
         let shape = input::echo(&format!("{:?}", header.shape));
         return Err(format!("has the shape {shape}, which holds no frames"));
@@ -101,13 +100,13 @@ fn stack(bytes: &[u8], axis: Option<usize>) -> Result<Stack, String> {
         ArrayD::from_shape_vec(shape, numbers)
     };
     let mut array = array.map_err(|e| e.to_string())?;
-    // An axis of one channel or one position is none.
+    // An axis of one channel or one position is dropped.
     while array.ndim() > 3
         && let Some(k) = (0..array.ndim()).find(|k| array.len_of(Axis(*k)) == 1)
     {
         array = array.index_axis_move(Axis(k), 0);
     }
-    // (rows, columns, 1) is a frame of one channel; frames of a single column are none that a camera sends.
+    // (rows, columns, 1) is a frame of one channel; no camera sends frames of a single column.
     if axis.is_none() && matches!(array.shape(), [rows, columns, 1] if *rows > 1 && *columns > 1) {
         array = array.index_axis_move(Axis(2), 0);
     }
@@ -147,8 +146,8 @@ fn number(b: &[u8], header: &Header) -> f64 {
     }
 }
 
-/// Refuses a stack of a shape (frames, rows, columns) whose first axis may not be that of the frames, by a part
-/// of it.
+/// Refuses a stack of shape (frames, rows, columns) if a part of it shows that the first axis may not
+/// count the frames.
 pub fn frames_come_first(array: &Array3<f64>, shape: (usize, usize, usize)) -> Result<(), String> {
     let (frames, rows, columns) = shape;
     let other = other_axis(array);
@@ -167,8 +166,8 @@ pub fn frames_come_first(array: &Array3<f64>, shape: (usize, usize, usize)) -> R
     }
 }
 
-/// The axis along which the pixels repeat, where that is clearly not the first: along the axis of the frames
-/// a pixel differs by its temporal noise only, along the others by offsets, dust and shading too.
+/// Returns the axis along which the pixels repeat, if that is clearly not the first. Along the frame
+/// axis a pixel varies only by its temporal noise, along the others also by offsets, dust and shading.
 fn other_axis(array: &Array3<f64>) -> Option<usize> {
     let scatter = |axis: usize| {
         let n = array.len_of(Axis(axis)) as f64;
@@ -176,7 +175,7 @@ fn other_axis(array: &Array3<f64>) -> Option<usize> {
         let grand = means.mean()?;
         let mut sum = 0.0;
         for frame in array.axis_iter(Axis(axis)) {
-            // Light that changes from frame to frame is no pattern.
+            // The frame mean is subtracted: light that changes from frame to frame is not a pattern.
             let level = frame.mean()? - grand;
             sum += frame.iter().zip(&means).map(|(v, m)| (v - m - level).powi(2)).sum::<f64>();
         }
@@ -188,8 +187,9 @@ fn other_axis(array: &Array3<f64>) -> Option<usize> {
     (least < CLEARLY_LESS * first).then_some(axis)
 }
 
-/// Part of the scatter along the first axis below which another one counts the frames. Column noise that
-/// changes from frame to frame brings axis 1 below 1 where the pixels have no pattern of their own.
+/// Maximum ratio of scatter along another axis to that along the first at which the other one counts the
+/// frames. Column noise that changes from frame to frame brings axis 1 below 1 if the pixels have no
+/// pattern of their own.
 const CLEARLY_LESS: f64 = 0.8;
 
 #[cfg(test)]
@@ -222,7 +222,7 @@ mod tests {
             of("|u1", "False", "(2, 1, 1, 2)", &[1, 2, 3, 4]),
             Ok(((2, 1, 2), vec![1.0, 2.0, 3.0, 4.0]))
         );
-        // One channel behind rows and columns is no stack of lines.
+        // One channel behind rows and columns is not a stack of lines.
         assert_eq!(of("|u1", "False", "(2, 2, 1)", &[1, 2, 3, 4]), Ok(((1, 2, 2), vec![1.0, 2.0, 3.0, 4.0])));
         for (descr, shape, part) in [
             ("<c8", "(1, 2)", "'<c8'"),

@@ -1,4 +1,4 @@
-//! OME-TIFF: exposure, channel and time of every plane (OME data model 2016-06).
+//! OME-TIFF reader: exposure, channel and time of every plane (OME data model 2016-06).
 
 use super::words::{self, Said, Writer};
 use super::{Facts, headers};
@@ -8,14 +8,14 @@ use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 use tiff::tags::Tag;
 
-/// True of a description that is OME-XML.
+/// Returns true for an OME-XML description.
 pub fn is_ome(text: &str) -> bool {
     let start = text.trim_start();
     let head = start.get(..start.len().min(1000)).unwrap_or(start);
     (start.starts_with("<?xml") || start.starts_with("<OME")) && head.contains("<OME")
 }
 
-/// Attributes of an element by their names.
+/// Returns the attributes of an element by name.
 fn attributes(element: &BytesStart<'_>) -> BTreeMap<String, String> {
     let of = |a: quick_xml::events::attributes::Attribute<'_>| {
         let name = String::from_utf8_lossy(a.key.local_name().as_ref()).into_owned();
@@ -33,7 +33,7 @@ struct Ome {
     pixels: BTreeMap<String, String>,
     channels: Vec<String>,
     planes: Vec<BTreeMap<String, String>>,
-    /// Blocks of planes with their place in the file, and whether they lie in this file.
+    /// Blocks of planes with their position in the file, and true if they are in this file.
     tiff_data: Vec<(BTreeMap<String, String>, bool)>,
     detectors: Vec<BTreeMap<String, String>>,
     settings: Vec<BTreeMap<String, String>>,
@@ -45,7 +45,7 @@ impl Ome {
         let mut out = Self::default();
         let mut reader = quick_xml::Reader::from_str(text);
         let mut in_date = false;
-        // Of a description that is cut off, what stands before counts.
+        // A truncated description is used up to the error.
         while let Ok(event) = reader.read_event() {
             match event {
                 Event::Start(e) | Event::Empty(e) => {
@@ -85,7 +85,7 @@ impl Ome {
         self.pixels.get(&format!("Size{axis}")).and_then(|n| n.parse().ok()).unwrap_or(1).max(1)
     }
 
-    /// Place of a plane in the order of the axes.
+    /// Returns the position of a plane in axis order.
     fn place(&self, at: &impl Fn(char) -> usize) -> usize {
         let order = self.pixels.get("DimensionOrder").map_or("XYZCT", String::as_str);
         let axes: Vec<char> = order.chars().filter(|c| matches!(c, 'Z' | 'C' | 'T')).collect();
@@ -94,7 +94,8 @@ impl Ome {
             .fold(0usize, |place, axis| place.saturating_mul(self.size(*axis)).saturating_add(at(*axis)))
     }
 
-    /// Planes of a file that describes none, as tifffile writes it; none where they are not as many as its pages.
+    /// Returns the planes of a file that describes none, as tifffile writes it; none if they are not as many
+    /// as the pages.
     fn all_planes(&self, pages: usize) -> Vec<BTreeMap<String, String>> {
         let sizes = ['C', 'Z', 'T'].map(|axis| self.size(axis));
         if sizes.iter().fold(1usize, |n, size| n.saturating_mul(*size)) != pages {
@@ -107,9 +108,9 @@ impl Ome {
         (0..pages).map(plane).collect()
     }
 
-    /// Directories of the file that hold planes, in the order of the planes: by TiffData where there is any
-    /// (section "TiffData" of the OME-TIFF specification), else in the order of the axes. Of blocks that
-    /// overlap the first counts.
+    /// Returns the directories of the file that hold planes, in plane order: by TiffData if present
+    /// (section "TiffData" of the OME-TIFF specification), else in axis order. If blocks overlap, the
+    /// first takes precedence.
     fn directories(&self, places: &[usize]) -> Vec<Option<usize>> {
         if self.tiff_data.is_empty() {
             return places.iter().copied().map(Some).collect();
@@ -117,8 +118,8 @@ impl Ome {
         let mut order: Vec<usize> = (0..places.len()).collect();
         order.sort_by_key(|i| places[*i]);
         let mut out = vec![None; places.len()];
-        // The next place in `order` without a block: a block with many planes does not walk over those before
-        // it again.
+        // Next free position in `order`, so that a block with many planes does not rescan the occupied
+        // ones.
         let mut free: Vec<usize> = (0..=order.len()).collect();
         for (block, _) in self.tiff_data.iter().filter(|(_, here)| *here) {
             let number = |key: &str| block.get(key).and_then(|n| n.parse::<usize>().ok());
@@ -139,7 +140,7 @@ impl Ome {
     }
 }
 
-/// The first free place from `at` on; places on the way are made to point there.
+/// Returns the first free position from `at`, with path compression.
 fn next_free(free: &mut [usize], at: usize) -> usize {
     let mut end = at;
     while free[end] != end {
@@ -152,7 +153,7 @@ fn next_free(free: &mut [usize], at: usize) -> usize {
     end
 }
 
-/// Facts of the file: its detector, and the exposure where all planes have the same.
+/// Reads the facts of the file: its detector, and the exposure if equal for all planes.
 pub fn facts(text: &str) -> Facts {
     let ome = Ome::of(text, "");
     let mut said = Vec::new();
@@ -180,9 +181,9 @@ pub fn facts(text: &str) -> Facts {
     out
 }
 
-/// Facts of a plane.
+/// Reads the facts of a plane.
 fn plane(ome: &Ome, plane: &BTreeMap<String, String>) -> Facts {
-    // The schema's unit of time is the second.
+    // Default unit of time of the schema: second.
     let unit = |key: &str| plane.get(key).map_or("s", String::as_str);
     let exposure = plane.get("ExposureTime").map(|t| format!("{t} {}", unit("ExposureTimeUnit")));
     let said = exposure.map(|e| Said::new("ExposureTime", &e));
@@ -204,24 +205,26 @@ fn plane(ome: &Ome, plane: &BTreeMap<String, String>) -> Facts {
     out
 }
 
-/// Largest number of channels of a hyperstack that are taken for such (a named choice): a stack that was saved with
-/// its frames as channels has more.
+/// Maximum number of channels of a hyperstack (a named choice): a stack saved with its frames as channels
+/// has more.
 const MAX_CHANNELS: usize = 4;
 
-/// Channels of the pages of an ImageJ hyperstack, which come first in its order (XYCZT).
+/// Returns the channels of the pages of an ImageJ hyperstack; they come first in its order (XYCZT).
 fn channels_of_imagej(text: &str, pages: &[usize]) -> BTreeMap<usize, Facts> {
     let said = |key: &str| {
         text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix('=')?.trim().parse::<usize>().ok())
     };
     let channels = said("channels").filter(|n| (2..=MAX_CHANNELS).contains(n) && *n < pages.len());
-    let Some(channels) = channels.filter(|_| said("images") == Some(pages.len())) else { return BTreeMap::new() };
+    let Some(channels) = channels.filter(|_| said("images") == Some(pages.len())) else {
+        return BTreeMap::new();
+    };
     let of = |(place, page): (usize, &usize)| {
         (*page, Facts { filter: Some(format!("channel {}", place % channels)), ..Facts::default() })
     };
     pages.iter().enumerate().map(of).collect()
 }
 
-/// Facts of the pages of an OME-TIFF or an ImageJ hyperstack; empty of any other file.
+/// Reads the facts of the pages of an OME-TIFF or an ImageJ hyperstack; empty for any other file.
 pub fn planes(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
     let text = || image::tiff_head(path).ok()?.get_tag_ascii_string(Tag::ImageDescription).ok();
     let text = text().unwrap_or_default();
@@ -232,7 +235,8 @@ pub fn planes(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
         return BTreeMap::new();
     }
     let mut ome = Ome::of(&text, &path.file_name().unwrap_or_default().to_string_lossy());
-    // Several images of a file count their planes apart, and only some programs say where each begins.
+    // Several images of a file count their planes separately, and only some programs state where each
+    // begins.
     if ome.images != 1 {
         return BTreeMap::new();
     }

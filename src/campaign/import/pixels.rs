@@ -1,4 +1,5 @@
-//! Frames of files on their way into a dataset: copied or linked as they are, or written anew where a dataset cannot have them so.
+//! Transfer of frames into a dataset: copied or linked unchanged, or rewritten if a dataset cannot hold
+//! them so.
 
 use super::source::Source;
 use super::{ImportError, Map, Region};
@@ -8,16 +9,16 @@ use ndarray::{Array2, s};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// What was taken into a dataset so far.
+/// State of the transfer into a dataset.
 pub struct Taken<'a> {
     map: &'a Map,
     root: &'a Path,
     link: bool,
-    /// Files and pages that were taken, after links.
+    /// Files and pages transferred so far, after resolving links.
     taken: BTreeSet<(PathBuf, usize)>,
-    /// Names in the dataset of files that were copied whole.
+    /// Names in the dataset of files copied whole.
     copies: BTreeMap<PathBuf, String>,
-    /// The file that was read last.
+    /// File read last.
     open: Option<(PathBuf, Source)>,
     written: usize,
     shape: (usize, usize),
@@ -37,12 +38,12 @@ impl<'a> Taken<'a> {
         }
     }
 
-    /// Rows and columns of the frames.
+    /// Returns rows and columns of the frames.
     pub fn shape(&self) -> (usize, usize) {
         self.shape
     }
 
-    /// Brings a frame into the dataset, its rows in the opposite order where it is `turned`; its name there.
+    /// Transfers a frame into the dataset, with reversed row order if `turned`; returns its name there.
     pub fn frame(&mut self, file: &str, turned: bool) -> Result<String, ImportError> {
         let (path, page) = file.rsplit_once('#').filter(|(_, p)| p.parse::<usize>().is_ok()).unzip();
         let source = PathBuf::from(path.unwrap_or(file));
@@ -91,7 +92,7 @@ impl<'a> Taken<'a> {
         Ok(name)
     }
 
-    /// A map may say what the files do not bear out.
+    /// The map may contradict the files.
     fn check(&mut self, pixels: &Array2<u16>) -> Result<(), String> {
         if self.shape != (0, 0) && self.shape != pixels.dim() {
             let ((h, w), (rows, columns)) = (pixels.dim(), self.shape);
@@ -105,7 +106,7 @@ impl<'a> Taken<'a> {
         Ok(())
     }
 
-    /// One plane of a mosaic, or all of a frame.
+    /// Extracts one plane of a mosaic, or the whole frame.
     fn anew(&self, pixels: Array2<u16>) -> Array2<u16> {
         match self.map.plane {
             Some([y, x]) => pixels.slice(s![usize::from(y)..;2, usize::from(x)..;2]).to_owned(),
@@ -123,7 +124,7 @@ impl<'a> Taken<'a> {
         let to = self.root.join(&name);
         let fault = |message: String| ImportError::File { path: source.into(), message };
         if self.link {
-            // A link to a link would point from another place.
+            // The link is resolved first: a link to a relative link would point to the wrong place.
             let whole = source.canonicalize().map_err(|e| fault(e.to_string()))?;
             std::fs::hard_link(whole, &to).map_err(|e| {
                 fault(format!("cannot be linked into {}: {e}; leave --link out", self.root.display()))

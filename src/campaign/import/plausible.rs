@@ -1,4 +1,4 @@
-//! Levels and files against names: questions where they contradict each other.
+//! Plausibility checks: levels and files against names, with questions on contradictions.
 
 use super::propose::Growing;
 use super::{Found, few, same_exposure};
@@ -6,21 +6,22 @@ use crate::dataset::Kind;
 use crate::number::{ranges, seconds, six_digits};
 use std::collections::BTreeMap;
 
-/// Ratio of exposures from which on the level tells which is longer, and of the signals.
+/// Minimum ratio of exposures, and of signals, at which the level shows which exposure is longer.
 const LONGER: f64 = 1.5;
 const BRIGHTER: f64 = 1.1;
-/// Part of the largest signal by which a dark is off the line of the flats at least.
+/// Minimum distance of a dark from the line of the flats, relative to the largest signal.
 const OFF_THE_LINE: f64 = 0.02;
-/// Bits that occur in the codes of a frame from which on they tell a step: a dark may have one code only.
+/// Minimum number of different bits in the codes of a frame that reveals a step: a dark may have one
+/// code only.
 const MIN_BITS: u32 = 4;
-/// Digits of a number in a name that may be a camera's serial number.
+/// Number of digits of a number in a name that may be a camera's serial number.
 const SERIAL_DIGITS: std::ops::RangeInclusive<usize> = 7..=10;
 
-/// Flats of which the longer are the darker: the longest one, and that in words. `flats`: place, exposure (s)
-/// and mean (DN) of those that state no light.
+/// Finds flats that get darker with exposure: returns the longest one, and a description. `flats`:
+/// place, exposure (s) and mean (DN) of flats without a stated light.
 pub fn falling_levels(mut flats: Vec<(usize, f64, f64)>, lowest_dn: f64) -> Option<(usize, String)> {
     flats.sort_by(|a, b| a.1.total_cmp(&b.1));
-    // Each against the next one that is clearly longer.
+    // Each flat is compared with the next one that is clearly longer.
     let (mut rises, mut falls, mut next) = (0, 0, 0);
     for (k, a) in flats.iter().enumerate() {
         next = next.max(k);
@@ -46,8 +47,8 @@ pub fn falling_levels(mut flats: Vec<(usize, f64, f64)>, lowest_dn: f64) -> Opti
     })
 }
 
-/// Questions exposures that darken: `1_80s` is 1/80 s, or `2.000 us` are two thousand. Asks for every set with a
-/// name of the form `1_80s`.
+/// Questions exposures whose flats get darker: `1_80s` may be 1/80 s, or `2.000 us` two thousand. Asks
+/// for every set with a name of the form `1_80s`.
 pub fn exposures_that_darken(sets: &mut [Growing], found: &[Found], lowest_dn: f64) {
     let flats =
         sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat && s.set.illumination.is_none());
@@ -74,16 +75,17 @@ pub fn exposures_that_darken(sets: &mut [Growing], found: &[Found], lowest_dn: f
     }
 }
 
-/// Part by which a set is off the usual signal for its exposure, from which on another light fell on it, and
-/// the part of the range above which a signal may have ended (named choices).
+/// Minimum relative deviation of a set from the usual signal for its exposure that shows another light,
+/// and minimum fraction of the range at which a signal may be saturated (named choices).
 const OTHER_LIGHT: f64 = 0.15;
 const NEAR_THE_END: f64 = 0.8;
-/// Part of the signal that is expected below which no light fell.
+/// Maximum fraction of the expected signal of a flat without light.
 const NO_LIGHT: f64 = 0.02;
 
-/// Questions flats of one stated light of which several are off the signal that their exposures have, one of
-/// them darker than a shorter one: another lamp current, filter or aperture that no name states so that it is
-/// read, or flats without light. One alone is a slip, which every look at the data names.
+/// Questions flats of one stated light if several deviate from the signal of their exposures and one of
+/// them is darker than a shorter one: another lamp current, filter or aperture that no name states
+/// legibly, or flats without light. A single one is an ordinary fault, which the examination of the data
+/// names.
 pub fn off_the_light(sets: &mut [Growing], lowest_dn: f64) {
     let asked = |s: &Growing| s.set.doubts.iter().any(|d| d.starts_with("exposure"));
     if sets.iter().any(asked) {
@@ -133,15 +135,16 @@ pub fn off_the_light(sets: &mut [Growing], lowest_dn: f64) {
     });
 }
 
-/// Part of the range of levels by which two darks of like exposures differ, from which on light fell on one.
+/// Minimum difference of two darks with similar exposures, relative to the range of levels, that shows
+/// light on one.
 const LIT_DARK: f64 = 0.2;
 
-/// Questions darks of which one is far brighter than another that is as long or longer: `black_card_10ms`,
-/// `dark_slide_out`.
+/// Questions darks if one is far brighter than another of the same or longer exposure:
+/// `black_card_10ms`, `dark_slide_out`.
 pub fn lit_and_dark(sets: &mut [Growing], lowest_dn: f64) {
     let top = sets.iter().map(|s| s.mean_dn - lowest_dn).fold(0.0, f64::max);
     let stated = |s: &Growing| s.set.kind == Kind::Dark && !s.set.kind_by_mean;
-    // Place, exposure and signal of each.
+    // Place, exposure and signal of each dark.
     let darks: Vec<(usize, f64, f64)> = sets
         .iter()
         .enumerate()
@@ -157,7 +160,7 @@ pub fn lit_and_dark(sets: &mut [Growing], lowest_dn: f64) {
         })
         .map(|d| d.0)
         .collect();
-    // One alone is a slip.
+    // A single one is an ordinary fault.
     if let [first, _, ..] = *lit {
         let text = format!(
             "kind: sets {} are called darks, and light fell on them ({:.0} DN, where other darks as long have {lowest_dn:.0}): flats?",
@@ -168,8 +171,8 @@ pub fn lit_and_dark(sets: &mut [Growing], lowest_dn: f64) {
     }
 }
 
-/// Questions words like x4 that all frames of a set have: averages of four, a lens or a gain? In names that
-/// count frames (`x0`, `x1`) the words differ.
+/// Questions words like x4 in the names of all frames of a set: averages of four, a lens or a gain? In
+/// names that count frames (`x0`, `x1`) the words differ.
 pub fn averaged_by_name(sets: &mut [Growing], found: &[Found]) {
     let said = |set: &Growing| {
         let mut words = set.frames.iter().map(|k| {
@@ -180,7 +183,7 @@ pub fn averaged_by_name(sets: &mut [Growing], found: &[Found]) {
         words.all(|other| other.as_ref() == Some(&first)).then_some(first)
     };
     let all: Vec<Option<(String, u32)>> = sets.iter().map(said).collect();
-    // Words that differ count frames if each set has one.
+    // Different words count frames if each set has a single frame.
     let alone = sets.iter().all(|s| s.frames.len() == 1);
     if alone && all.iter().any(|word| *word != all[0]) {
         return;
@@ -193,11 +196,11 @@ pub fn averaged_by_name(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Largest relative difference of the means of flats that were divided by them, above rounding to 24 bits;
-/// lamps and shot noise move means by more (a named choice).
+/// Maximum relative difference of the means of normalised flats, above rounding to 24 bits; lamps and
+/// shot noise move means by more (a named choice).
 const MAX_REL_OF_NORMALIZED: f64 = 1e-6;
 
-/// Questions flats of floating-point numbers whose means are all the same: each was divided by its mean.
+/// Questions floating-point flats with equal means: each was divided by its mean.
 pub fn normalized(sets: &mut [Growing], found: &[Found]) {
     let flats = || sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat);
     let frames = || flats().flat_map(|(_, s)| &s.frames).map(|k| &found[*k]);
@@ -214,11 +217,11 @@ pub fn normalized(sets: &mut [Growing], found: &[Found]) {
     ));
 }
 
-/// Numbers of pixels of binning 2 x 2 to 4 x 4: as many values have their mean.
+/// Numbers of pixels of binning 2 x 2 to 4 x 4, which may have been averaged.
 const BINNED: [u32; 3] = [4, 9, 16];
 
-/// Questions values that are multiples of 1/N: means of N frames are no raw frames. Means of N pixels are; they
-/// are assumed, and said, for the N of binning.
+/// Questions values that are multiples of 1/N: averages of N frames are not raw frames. Averages of N
+/// pixels are valid; for the N of binning they are assumed and noted.
 pub fn means_of_several(sets: &mut [Growing], found: &[Found]) {
     let Some(n) = found.first().and_then(|f| f.in_a_mean) else { return };
     let Some(first) = sets.first_mut() else { return };
@@ -235,13 +238,13 @@ pub fn means_of_several(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Least ratio of the time between frames to the exposure, and the error of times in whole seconds, s.
+/// Minimum ratio of the frame period to the exposure, and the error of times in whole seconds, s.
 const MIN_PERIOD_SHARE: f64 = 0.5;
 const ERROR_OF_TIMES_S: f64 = 1.0;
 
-/// Questions exposures without a unit that are longer than the time from frame to frame: milliseconds?
+/// Questions exposures without a unit that exceed the frame period: milliseconds?
 pub fn longer_than_the_period(sets: &mut [Growing], found: &[Found]) {
-    // Exposure and time from frame to frame at most.
+    // Returns the exposure and the maximum frame period.
     let of = |s: &Growing| {
         let exposure_s =
             s.set.exposure_s.filter(|_| s.frames.iter().all(|k| !found[*k].facts.unit_stated))?;
@@ -253,7 +256,7 @@ pub fn longer_than_the_period(sets: &mut [Growing], found: &[Found]) {
     };
     let is_longer =
         |s: &Growing| of(s).is_some_and(|(exposure_s, period_s)| MIN_PERIOD_SHARE * exposure_s > period_s);
-    // Times of files that were written together after all exposures come with one set or two.
+    // File times of files written together after all exposures affect only one or two sets.
     if 2 * sets.iter().filter(|s| is_longer(s)).count() < sets.len() {
         return;
     }
@@ -267,8 +270,8 @@ pub fn longer_than_the_period(sets: &mut [Growing], found: &[Found]) {
     ));
 }
 
-/// Questions darks whose exposures are all a thousand or a million times those of the flats, or as small a part
-/// of them: one of the two units is wrong. One program writes both headers in one unit, so those are not asked;
+/// Questions darks whose exposures are all a thousand or a million times those of the flats, or the
+/// inverse: one of the two units is wrong. Headers of one program use one unit and are not questioned;
 /// neither is a single dark beside flats of several exposures.
 pub fn darks_in_another_unit(sets: &mut [Growing], found: &[Found]) {
     let exposures = |kind: Kind| -> Vec<(usize, f64)> {
@@ -306,12 +309,12 @@ pub fn darks_in_another_unit(sets: &mut [Growing], found: &[Found]) {
     sets[dark.0].set.doubts.push(text);
 }
 
-/// Smallest level below that of all darks, DN and relative to it, at which flats are questioned: a black
-/// level drifts by less (named choices).
+/// Minimum deficit below all darks at which flats are questioned, DN and relative to the dark level: a
+/// black level drifts by less (named choices).
 const MIN_BELOW_DARKS: (f64, f64) = (5.0, 0.05);
 
-/// Questions flats that are darker than all darks. Fewer bits of some files, which also make them so, are
-/// questioned before.
+/// Questions flats that are darker than all darks. Files with fewer bits, which have the same effect,
+/// are questioned before.
 pub fn flats_below_darks(sets: &mut [Growing]) {
     if sets.iter().any(|s| s.set.doubts.iter().any(|d| d.starts_with("frames"))) {
         return;
@@ -331,7 +334,7 @@ pub fn flats_below_darks(sets: &mut [Growing]) {
     sets[first].set.doubts.push(text);
 }
 
-/// Questions frames that are stated as those of an object and have become darks or flats by their mean.
+/// Questions frames stated as those of an object that were classified as darks or flats by their mean.
 pub fn neither_dark_nor_flat(sets: &mut [Growing], found: &[Found]) {
     let of_object = |s: &Growing| s.set.kind_by_mean && s.frames.iter().any(|k| found[*k].facts.object);
     if let Some(set) = sets.iter_mut().find(|s| of_object(s)) {
@@ -341,8 +344,8 @@ pub fn neither_dark_nor_flat(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Questions darks by their mean that lie on the line of the flats over the exposure: they are the dimmest
-/// flats.
+/// Questions darks classified by mean that lie on the line of the flats over exposure: they are the
+/// dimmest flats.
 pub fn darks_on_the_line(sets: &mut [Growing]) {
     let of = |s: &Growing| Some((s.set.exposure_s?, s.mean_dn));
     let guessed = |s: &&Growing| s.set.kind_by_mean && s.set.illumination.unwrap_or(1.0) != 0.0;
@@ -354,7 +357,7 @@ pub fn darks_on_the_line(sets: &mut [Growing]) {
     let slope = flats.iter().map(|p| (p.0 - x) * (p.1 - y)).sum::<f64>() / sxx;
     let most = flats.iter().map(|p| p.1).fold(0.0, f64::max);
     let scatter = flats.iter().map(|p| (p.1 - y - slope * (p.0 - x)).abs()).fold(0.0, f64::max);
-    // Three points show whether they are on a line.
+    // At least three points are needed to show a line.
     if flats.len() < 3 || !slope.is_finite() || scatter > OFF_THE_LINE * most {
         return;
     }
@@ -371,9 +374,9 @@ pub fn darks_on_the_line(sets: &mut [Growing]) {
     }
 }
 
-/// Questions files that keep fewer bits than the others: 8 bits of 12 are another gain.
+/// Questions files with fewer bits than the others: 8 bits of 12 are another gain.
 pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
-    // Floating-point numbers have as many bits as their writer likes, and negative whole ones no more than
+    // The stored bits of floating-point numbers are arbitrary, and negative integers have no more than
     // others.
     let bits = |f: &Found| if f.is_rounded && f.stored_bits > 16 { 32 } else { f.stored_bits.min(32) };
     let most = found.iter().map(bits).max().unwrap_or(0);
@@ -389,11 +392,11 @@ pub fn fewer_bits(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Questions frames whose codes are all multiples of 4 or more where others' are not: shifted in some files
-/// and not in the rest.
+/// Questions frames whose codes are all multiples of 4 or more while others' are not: shifted in some
+/// files only.
 pub fn shifted_codes(sets: &mut [Growing], found: &[Found]) {
     let step = |f: &Found| 1u32 << f.bits.trailing_zeros().min(15);
-    // A frame of one code alone has that code's bits.
+    // The bits of a frame with a single code are those of that code.
     let is_one_code = |f: &Found| (f.mean_dn - f64::from(f.bits)).abs() < 0.5;
     let tells = |f: &Found| f.bits.count_ones() >= MIN_BITS && !is_one_code(f);
     let Some(whole) = found.iter().find(|f| tells(f) && step(f) == 1) else { return };
@@ -410,7 +413,8 @@ pub fn shifted_codes(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Questions two numbers as long as a serial number, one in the names of some sets and the other in the rest.
+/// Questions two numbers with the length of a serial number, one in the names of some sets and the other
+/// in the rest.
 pub fn serial_numbers(sets: &mut [Growing], found: &[Found]) {
     let mut of_sets: BTreeMap<String, Vec<usize>> = BTreeMap::new();
     for (k, set) in sets.iter().enumerate() {
@@ -438,17 +442,17 @@ pub fn serial_numbers(sets: &mut [Growing], found: &[Found]) {
     }
 }
 
-/// Flats below which levels tell no decimals from counters, and the part of them whose levels agree with a
-/// right reading (named choices).
+/// Minimum number of flats whose levels distinguish decimals from counters, and the minimum fraction of
+/// them whose levels agree with a correct reading (named choices).
 const MIN_FLATS: usize = 3;
 const AGREE: f64 = 0.8;
 
-/// Flat with its exposure as it was read and, where another number stands in front of it, as a decimal.
+/// Flat with its exposure as read and, if another number precedes it, as a decimal.
 struct Read {
     set: usize,
     signal_dn: f64,
     read_s: f64,
-    /// Exposure if the number in front is the whole part, and both numbers.
+    /// Exposure if the preceding number is the integer part, and both numbers.
     decimal: Option<(f64, String)>,
 }
 
@@ -469,8 +473,8 @@ impl Read {
     }
 }
 
-/// Questions exposures in front of whose number another one stands, as in flat_2_4ms, where the levels of the
-/// flats are those of 2.4 ms and not of 4 ms. Others beside it (flat_5ms) may have one number.
+/// Questions exposures preceded by another number, as in flat_2_4ms, if the levels of the flats fit 2.4
+/// ms and not 4 ms. Other flats (flat_5ms) may have a single number.
 pub fn decimals_in_two(sets: &mut [Growing], found: &[Found], lowest_dn: f64) {
     let flats = sets.iter().enumerate().filter(|(_, s)| s.set.kind == Kind::Flat);
     let flats: Option<Vec<Read>> = flats.map(|(k, s)| Read::of(k, s, found, lowest_dn)).collect();
@@ -498,8 +502,8 @@ pub fn decimals_in_two(sets: &mut [Growing], found: &[Found], lowest_dn: f64) {
     }
 }
 
-/// Digits, a sign that parts words, and digits in front of a unit of time, as in `2_4ms`; `None` where that
-/// is there never, or more than once.
+/// Splits digits, a separator and digits before a unit of time, as in `2_4ms`; `None` unless this occurs
+/// exactly once.
 fn two_numbers(name: &str) -> Option<(&str, &str)> {
     let digits_before = |end: usize| {
         let start = name[..end].trim_end_matches(|c: char| c.is_ascii_digit()).len();

@@ -1,4 +1,4 @@
-//! Files into sets.
+//! Grouping of files into sets.
 
 use super::camera::{BOTTOM_UP, ROW_ORDER, TOP_DOWN};
 use super::listing::PACKED;
@@ -10,29 +10,29 @@ use crate::number::six_digits;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Levels that differ by less count as one, DN (a named choice).
+/// Maximum difference of equal levels, DN (a named choice).
 const SAME_LEVEL_DN: f64 = 1.0;
 
-/// A set while it grows.
+/// Set under construction.
 pub(super) struct Growing {
-    /// The set as the map has it.
+    /// Set as in the map.
     pub set: MapSet,
-    /// Frames by their place in the survey.
+    /// Indices of the frames in the survey.
     pub frames: Vec<usize>,
-    /// What it shares with sets whose names differ in counters only.
+    /// Key shared with sets whose names differ only in counters.
     loose: String,
-    /// A number that may be a time of day was taken out of the name.
+    /// True if a possible time of day was removed from the name.
     timed: bool,
-    /// Mean of its frames, DN.
+    /// Mean of the frames, DN.
     pub mean_dn: f64,
 }
 
-/// Sorts frames into sets: by what names and headers say, else by folder and name, darks from flats by their
-/// means.
+/// Groups frames into sets by names and headers, else by folder and name; darks are separated from flats
+/// by their means.
 ///
 /// # Errors
 ///
-/// Where the files are not of one camera and one size, or there is none.
+/// The files are not of one camera and one size, or there are none.
 pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportError> {
     let bits = found.iter().fold(0, |a, f| a | f.bits);
     let inner = found.iter().fold(0, |a, f| a | f.inner_bits);
@@ -158,31 +158,31 @@ pub fn propose(found: &[Found], bit_depth: Option<u8>) -> Result<Map, ImportErro
     })
 }
 
-/// What frames of one set share, strictly and without any counter.
+/// Returns the strict key of a frame's set, and the loose key without any counter.
 fn keys(frame: &Found, kind: Kind, is_of_stack: bool, further: &str) -> (String, String, bool) {
     let facts = &frame.facts;
     let folder = frame.path.parent().unwrap_or(Path::new("")).display().to_string();
     if let Some(set) = facts.set {
-        // What says its set needs no guess.
+        // A stated set needs no guess.
         return (format!("{folder} set {set}"), String::new(), false);
     }
-    // Exposures that are equal but for rounding of the unit.
+    // Formatted so that exposures that differ only by rounding of the unit are equal.
     let exposure = facts.exposure_s.map(|s| format!("{s:.9e}"));
     let all = format!(
         "{kind} {exposure:?} {:?} {:?} {:?} {further}",
         facts.illumination, facts.configuration, facts.filter
     );
     let name = frame.path.file_name().unwrap_or_default().to_string_lossy();
-    // A packed frame is of the set that it was of before it was packed.
+    // A compressed frame belongs to the same set as before compression.
     let name = PACKED.iter().find_map(|p| name.strip_suffix(&format!(".{p}"))).unwrap_or(&name);
-    // Pages of a stack are one set.
+    // Pages of a stack form one set.
     if is_of_stack {
         return (format!("{folder}/{name} {all}"), String::new(), false);
     }
-    // Two runs of a program that names folders by the time stay two sets.
+    // Two runs of a program that names folders by time remain two sets.
     let (of_folder, _) = stamps::loose(&folder);
     let (of_name, timed) = stamps::loose(name);
-    // Without an exposure a number may be that.
+    // Without an exposure, a number in the name may be the exposure.
     let loose = match exposure {
         Some(_) => format!("{of_folder}/{of_name} {all}"),
         None => String::new(),
@@ -190,7 +190,7 @@ fn keys(frame: &Found, kind: Kind, is_of_stack: bool, further: &str) -> (String,
     (format!("{folder}/{} {all}", stamps::stem(name)), loose, timed)
 }
 
-/// Adds texts that are not there yet.
+/// Adds texts that are not yet present.
 fn add(to: &mut Vec<String>, texts: &[String]) {
     for text in texts {
         if !to.contains(text) {
@@ -203,7 +203,7 @@ fn mean(found: &[Found], frames: &[usize]) -> f64 {
     frames.iter().map(|k| found[*k].mean_dn).sum::<f64>() / frames.len().max(1) as f64
 }
 
-/// A set with the settings of its first frame.
+/// Creates a set with the settings of its first frame.
 fn set_of(frame: &Found, kind: Kind, by_mean: bool, turned: bool) -> MapSet {
     let facts = &frame.facts;
     let mut from: Vec<String> = facts.from.iter().map(|(key, of)| format!("{key}: {of}")).collect();
@@ -234,11 +234,11 @@ fn set_of(frame: &Found, kind: Kind, by_mean: bool, turned: bool) -> MapSet {
     }
 }
 
-/// Exposure of a bias frame, which has none, s.
+/// Nominal exposure of a bias frame, s.
 const SHORTEST_S: f64 = 1e-9;
 
-/// Joins sets whose names differ in counters and times of day only: all settings are equal, the sets have
-/// single frames or their names a time of day, and the levels are alike.
+/// Joins sets whose names differ only in counters and times of day: all settings are equal, the sets
+/// have single frames or a time of day in their names, and the levels are alike.
 fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
     let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (k, set) in sets.iter().enumerate().filter(|(_, s)| !s.loose.is_empty()) {
@@ -246,7 +246,7 @@ fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
     }
     let mut into: Vec<usize> = (0..sets.len()).collect();
     for members in groups.into_values() {
-        // Two frames of one second may share a name.
+        // Two frames taken in the same second may share a name.
         let frames: usize = members.iter().map(|k| sets[*k].frames.len()).sum();
         let single = frames < 2 * members.len();
         let timed = members.iter().all(|k| sets[*k].timed);
@@ -278,7 +278,7 @@ fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
             }
         }
     }
-    // In the order of the survey, which is that of time or of names.
+    // Survey order, which is that of time or names.
     for set in &mut out {
         set.frames.sort_unstable();
     }
@@ -286,8 +286,8 @@ fn joined(sets: Vec<Growing>, found: &[Found], lowest: f64) -> Vec<Growing> {
     out
 }
 
-/// Questions darks whose level shows light: frames in a folder `Black camera` may be of any kind.
-/// Darks of one exposure and temperature have one level. `lit_dn`: a signal that shows light.
+/// Questions darks whose level shows light: frames in a folder `Black camera` may be of any kind. Darks
+/// of one exposure and temperature have one level. `lit_dn`: minimum signal that shows light.
 fn lit_darks(sets: &mut [Growing], lit_dn: f64) {
     let is_dark = |s: &Growing| s.set.kind == Kind::Dark && !s.set.kind_by_mean && s.set.exposure_s.is_some();
     let darks: Vec<(f64, f64)> =
@@ -305,20 +305,20 @@ fn lit_darks(sets: &mut [Growing], lit_dn: f64) {
     }
 }
 
-/// Sets of flats whose frames have levels of their own: names and headers that do not tell lights or
-/// exposures apart.
+/// Finds flats with different levels within a set: names and headers do not distinguish lights or
+/// exposures.
 fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<String> {
     let several = |set: &Growing| {
         let mut means: Vec<f64> = set.frames.iter().map(|k| found[*k].mean_dn - lowest).collect();
         means.sort_by(f64::total_cmp);
         let median = means.get(means.len() / 2).copied().unwrap_or(0.0);
-        // The signal of the dimmest frames is not known where there is no darker one.
+        // The signal of the dimmest frames is unknown if there is no darker one.
         let is_lowest = means.first().is_some_and(|m| *m <= 0.0);
         let signal = if is_lowest { median + lowest } else { median };
-        // Next to the darks a share of the signal is nothing.
+        // Near the dark level a fraction of the signal is too small a tolerance.
         let same = (SAME_LIGHT * signal).max(SAME_LEVEL_DN);
         let apart = means.iter().filter(|m| (*m - median).abs() > same).count();
-        // A single frame of another level is a slip, which is looked for later.
+        // A single frame of another level is an ordinary fault, which is searched for later.
         let dn = |m: Option<&f64>| m.copied().unwrap_or(0.0) + lowest;
         (set.set.kind == Kind::Flat && apart > 1).then(|| (dn(means.first()), dn(means.last())))
     };
@@ -336,7 +336,7 @@ fn several_levels(sets: &[Growing], found: &[Found], lowest: f64) -> Option<Stri
     })
 }
 
-/// A set with its files, times, mean and temperature.
+/// Completes a set with files, times, mean and temperature.
 fn finished(grown: Growing, found: &[Found]) -> MapSet {
     let Growing { mut set, frames, mean_dn, .. } = grown;
     let of = |k: &usize| &found[*k];
@@ -354,7 +354,7 @@ fn finished(grown: Growing, found: &[Found]) -> MapSet {
     set
 }
 
-/// The part without overscan, which all frames must state alike.
+/// Returns the region without overscan, which all frames must state alike.
 fn kept(found: &[Found], notes: &mut Vec<String>) -> Result<Option<Region>, ImportError> {
     let Some(first) = found.iter().find(|f| f.region.is_some()) else { return Ok(None) };
     if let Some(other) = found.iter().find(|f| f.region != first.region) {
@@ -374,7 +374,7 @@ fn kept(found: &[Found], notes: &mut Vec<String>) -> Result<Option<Region>, Impo
     }))
 }
 
-/// Whether rows of some frames run upwards and of others downwards: those are turned.
+/// Returns true if rows run upwards in some frames and downwards in others: the former are flipped.
 fn turns(found: &[Found], features: &mut BTreeMap<String, toml::Value>, notes: &mut Vec<String>) -> bool {
     let count = |up: Option<bool>| found.iter().filter(|f| f.facts.bottom_up == up).count();
     let (up, down, unknown) = (count(Some(true)), count(Some(false)), count(None));
@@ -397,7 +397,7 @@ fn turns(found: &[Found], features: &mut BTreeMap<String, toml::Value>, notes: &
     mixed
 }
 
-/// Sets whose temperatures are apart.
+/// Finds sets with different temperatures.
 fn two_temperatures(sets: &[MapSet]) -> Option<String> {
     let mut known: Vec<(f64, usize)> =
         sets.iter().enumerate().filter_map(|(k, s)| Some((s.temperature_c?, k))).collect();

@@ -1,8 +1,8 @@
-//! What one code of a dataset is in its files: stretched codes are taken back to those of the converter, signed
-//! and floating-point numbers become codes.
+//! Scale of the codes: stretched codes are converted back to those of the converter, signed and
+//! floating-point numbers are converted to codes.
 //!
-//! A dataset has codes of up to 16 bits, and quantisation of one code is part of its physics (a variance of
-//! 1/12). So a code must be a step of the converter, or fine against the noise.
+//! A dataset has codes of up to 16 bits, and quantisation of one code is part of its model (a variance
+//! of 1/12). So a code must be a step of the converter, or small compared with the noise.
 
 use crate::dataset::image::Values;
 use crate::number::six_digits;
@@ -11,12 +11,12 @@ use ndarray::Array2;
 use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
-/// Value of code k in the files: zero + step k.
+/// Linear scale: code k is stored as zero + step k.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scale {
-    /// Values of the files that make one code.
+    /// File value per code.
     pub step: f64,
-    /// Value of code 0.
+    /// File value of code 0.
     pub zero: f64,
 }
 
@@ -27,16 +27,16 @@ impl Default for Scale {
 }
 
 impl Scale {
-    /// True if the codes of the files are those of the dataset.
+    /// Returns true if file values equal codes.
     pub fn is_identity(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Codes of a frame.
+    /// Converts a frame to codes.
     ///
     /// # Errors
     ///
-    /// Where a value makes no code: its place and the value.
+    /// A value that is not a code: its position and value.
     pub fn codes(&self, values: Values) -> Result<Array2<u16>, String> {
         let numbers = match values {
             Values::Codes(codes) if self.is_identity() => return Ok(codes),
@@ -56,19 +56,19 @@ impl Scale {
         }
     }
 
-    /// Value as a code, unrounded.
+    /// Converts a value to a code, unrounded.
     pub fn of(&self, value: f64) -> f64 {
         (value - self.zero) / self.step
     }
 
-    /// What was done, for the table of `radcam import`; nothing where codes stay as they are.
+    /// Describes the conversion for the table of `radcam import`; `None` if codes are unchanged.
     pub fn words(&self) -> Option<String> {
         let power = self.step.log2();
         if self.is_identity() {
             return None;
         }
         let step = six_digits(self.step);
-        // Less than half a step is how the codes were rounded.
+        // An offset below half a step is due to rounding.
         let zero = match self.zero {
             zero if 2.0 * zero.abs() <= self.step => String::new(),
             zero => format!(", code 0 is {} in the files", six_digits(zero)),
@@ -86,31 +86,31 @@ impl Scale {
     }
 }
 
-/// Distinct numbers that are kept: continuous numbers have as many as pixels.
+/// Maximum number of distinct values stored: continuous values have as many as pixels.
 const MAX_DISTINCT: usize = 200_000;
 
-/// Largest number of frames, or of pixels, whose mean is looked for in fractions of a code, and least range of the
-/// values, in codes: numbers scaled to 0 to 1 are no means (named choices).
+/// Maximum number of averaged frames or pixels that is searched for in fractions of a code, and minimum
+/// range of the values, in codes: numbers scaled to 0 to 1 are not averages (named choices).
 const MAX_IN_A_MEAN: f64 = 256.0;
 const MIN_RANGE_OF_MEANS: f64 = 4.0;
 
-/// Share of the pixels with a fraction of their own in means of frames, and distance from a whole number that
-/// single precision leaves of a sum of eight codes of 16 bits (named choices).
+/// Minimum fraction of pixels with their own fractional part in averages of frames, and the distance
+/// from an integer that single precision leaves in a sum of eight 16-bit codes (named choices).
 const MIN_FRACTIONAL_SHARE: f64 = 0.1;
 const MAX_OFF_WHOLE: f64 = 0.02;
 
-/// Temporal noise, in the unit of the files, from which on floating-point numbers are rounded to whole codes:
-/// quantisation is then a twelfth of the noise at most, and accounted for (q^2/12).
+/// Minimum temporal noise, in file units, at which floating-point numbers are rounded to whole codes:
+/// quantisation is then at most a twelfth of the noise, and is accounted for (q^2/12).
 const MIN_NOISE_OF_WHOLE_CODES: f64 = 1.0;
 
-/// The values of all frames, as far as they tell the scale.
+/// Statistics of the values of all frames that determine the scale.
 #[derive(Debug, Default)]
 pub struct Census {
     occurring: Occurring,
     numbers: Option<Numbers>,
-    /// Frames of integers.
+    /// Number of integer frames.
     of_integers: usize,
-    /// Files whose floating-point numbers have fractions.
+    /// Files whose floating-point values have fractions.
     fractional: BTreeSet<PathBuf>,
 }
 
@@ -120,16 +120,17 @@ struct Numbers {
     least: f64,
     most: f64,
     whole: bool,
-    /// Least standard deviation of half the difference of successive frames.
+    /// Minimum standard deviation of half the difference of successive frames.
     noise: f64,
     before: Option<Array2<f64>>,
-    /// Largest share of the pixels of two successive frames with fractions of their own ([`fractional_share`]).
+    /// Maximum fraction of pixels in two successive frames with their own fractional part
+    /// ([`fractional_share`]).
     fractional_share: f64,
 }
 
-/// Share of the pixels whose fractions are no sum of a number for the row, one for the column and one for the
-/// pixel in all frames, as subtracted overscan and dark frames leave them: the difference of two frames, of
-/// neighbouring columns and of neighbouring rows is then a whole number.
+/// Returns the fraction of pixels whose fractional part is not a sum of constants for row, column and
+/// pixel in all frames, which subtracted overscan and dark frames leave: for such a sum the differences
+/// of two frames, of neighbouring columns and of neighbouring rows are whole numbers.
 fn fractional_share(frame: &Array2<f64>, before: &Array2<f64>) -> f64 {
     let off = frame - before;
     let cells = off.windows((2, 2));
@@ -142,7 +143,7 @@ fn fractional_share(frame: &Array2<f64>, before: &Array2<f64>) -> f64 {
 }
 
 impl Numbers {
-    /// Steps of the numbers and of these codes; `None` of continuous ones.
+    /// Finds the step of the numbers and of these codes; `None` for continuous numbers.
     fn stretch(&self, codes: &[f64]) -> Option<Stretch> {
         if self.distinct.len() >= MAX_DISTINCT {
             return None;
@@ -156,11 +157,11 @@ impl Numbers {
 }
 
 impl Census {
-    /// Takes note of a frame.
+    /// Adds a frame.
     ///
     /// # Errors
     ///
-    /// Where it holds what is no number.
+    /// A value is NaN or infinite.
     pub fn add(&mut self, values: &Values, path: &Path) -> Result<(), String> {
         let numbers = match values {
             Values::Codes(codes) => {
@@ -193,7 +194,7 @@ impl Census {
             all.most = all.most.max(*v);
             all.whole &= v.fract() == 0.0;
             if all.distinct.len() < MAX_DISTINCT {
-                // One zero, not two.
+                // Maps -0 to 0.
                 all.distinct.insert((*v + 0.0).to_bits());
             }
         }
@@ -212,7 +213,7 @@ impl Census {
         Ok(())
     }
 
-    /// The highest code under a scale.
+    /// Returns the highest code under a scale.
     pub fn highest(&self, scale: &Scale) -> u16 {
         let codes = self.occurring.codes();
         let most = self.numbers.as_ref().map_or(f64::NEG_INFINITY, |n| n.most);
@@ -220,8 +221,8 @@ impl Census {
         line.code(codes.last().copied().unwrap_or(most).max(most)).clamp(0.0, 65_535.0) as u16
     }
 
-    /// Number of frames, or of pixels, of which each number may be the mean: the values are whole multiples of one
-    /// over it. `None` of whole codes and of continuous numbers.
+    /// Returns the number of frames or pixels whose average each value may be: the values are integer
+    /// multiples of its reciprocal. `None` for whole codes and continuous numbers.
     pub fn in_a_mean(&self) -> Option<u32> {
         let is_mean = |n: &&Numbers| {
             !n.whole && n.most - n.least > MIN_RANGE_OF_MEANS && n.fractional_share > MIN_FRACTIONAL_SHARE
@@ -235,11 +236,11 @@ impl Census {
             .then_some(n as u32)
     }
 
-    /// The scale that fits all of them.
+    /// Finds the scale that fits all frames.
     ///
     /// # Errors
     ///
-    /// Where no codes of 16 bits hold them, or some are frames of a camera and others were computed.
+    /// Values that do not fit 16-bit codes, or a mixture of camera frames and computed ones.
     pub fn scale(&self) -> Result<Scale, String> {
         if let Some(first) = self.fractional.first().filter(|_| self.of_integers > 0) {
             let more = match self.fractional.len() - 1 {
@@ -275,10 +276,10 @@ impl Census {
                 );
             }
         };
-        // Single precision leaves a whole step almost whole.
+        // Single precision leaves small errors on a whole step.
         let step = if (step - step.round()).abs() < 1e-6 * step { step.round() } else { step };
         let zero = if zero.abs() < 1e-6 * step { 0.0 } else { zero };
-        // Negative values get codes from a round number on.
+        // Negative values are lifted to codes by a round number.
         let below = ((least - zero) / step).round();
         let lift = if below < 0.0 { (-below / 100.0).ceil() * 100.0 } else { 0.0 };
         let scale = Scale { step, zero: zero - lift * step };
@@ -333,7 +334,7 @@ mod tests {
         ] {
             assert_eq!(of(whole), None);
         }
-        // Overscan of 32 columns was taken off each row, and a master of ten darks off each frame.
+        // Overscan of 32 columns subtracted from each row, and a master of ten darks from each frame.
         for n in [32.0, 10.0] {
             let mut census = Census::default();
             for (k, mut frame) in frames(|v| v).into_iter().enumerate() {
@@ -351,10 +352,11 @@ mod tests {
     #[test]
     fn numbers_get_the_scale_that_fits() {
         for (of, step, zero) in [
-            // Overscan was taken off.
+            // Overscan subtracted.
             ((|v| v - 50.5) as fn(f64) -> f64, 1.0, -100.5),
             (|v| v - 150.0, 1.0, -200.0),
-            // Noise of 8 in steps of 0.25 is fine against whole codes; noise of 0.02 is not.
+            // With noise of 8 and steps of 0.25, whole codes are fine enough; with noise of 0.02 they
+            // are not.
             (|v| 4.0 * v + 0.25 * (v % 3.0), 1.0, 0.0),
             (|v| 0.01 * v, 0.01, 0.0),
             (|v| f64::from((v / 4095.0) as f32), 1.0 / 4095.0, 0.0),

@@ -1,4 +1,4 @@
-//! Overscan that FITS headers state: TRIMSEC, DATASEC and BIASSEC, sections as IRAF writes them.
+//! Overscan stated in FITS headers: TRIMSEC, DATASEC and BIASSEC, in IRAF notation.
 
 use super::Facts;
 use crate::dataset::Region;
@@ -6,24 +6,25 @@ use ndarray::{ArrayBase, ArrayView2, Data, Ix2, s};
 use std::ops::Range;
 
 impl Region {
-    /// The part of a frame.
+    /// Returns the region of a frame.
     pub fn of<'a, T, S: Data<Elem = T>>(&self, frame: &'a ArrayBase<S, Ix2>) -> ArrayView2<'a, T> {
         frame.slice(s![self.rows.clone(), self.columns.clone()])
     }
 
-    /// As `[column, row, width, height]`, the first row and column being 0.
+    /// Returns `[column, row, width, height]`, counted from 0.
     pub fn to_numbers(&self) -> [usize; 4] {
         [self.columns.start, self.rows.start, self.columns.len(), self.rows.len()]
     }
 
-    /// From `[column, row, width, height]`; `None` where that is no part of a frame of this shape.
+    /// Creates a region from `[column, row, width, height]`; `None` if it does not fit a frame of this
+    /// shape.
     pub fn from_numbers([x, y, width, height]: [usize; 4], shape: (usize, usize)) -> Option<Self> {
         let (right, bottom) = (x.checked_add(width)?, y.checked_add(height)?);
         let inside = width > 0 && height > 0 && right <= shape.1 && bottom <= shape.0;
         inside.then_some(Self { rows: y..bottom, columns: x..right })
     }
 
-    /// Overscan that is cut off a frame of this shape, counted from 1 as FITS does.
+    /// Describes the overscan removed from a frame of this shape, counted from 1 as in FITS.
     pub fn cut_off(&self, shape: (usize, usize)) -> String {
         let side = |name: &str, kept: &Range<usize>, n: usize| {
             let run = |from: usize, to: usize| match to.saturating_sub(from) {
@@ -39,12 +40,13 @@ impl Region {
     }
 }
 
-/// A section `[x1:x2,y1:y2]`, counted from 1, both ends included; `*` is a whole axis, and an axis may run backwards.
+/// Parses a section `[x1:x2,y1:y2]`, counted from 1, both ends included; `*` is a whole axis, and an
+/// axis may run backwards.
 fn section(text: &str, shape: (usize, usize)) -> Option<Region> {
     let inside = text.trim().strip_prefix('[')?.strip_suffix(']')?;
     let (x, y) = inside.split_once(',')?;
     let axis = |text: &str, n: usize| -> Option<Range<usize>> {
-        // Behind a second colon stands a step.
+        // A step follows a second colon.
         let mut parts = text.trim().split(':');
         let first = parts.next()?.trim();
         if first == "*" {
@@ -58,7 +60,7 @@ fn section(text: &str, shape: (usize, usize)) -> Option<Region> {
     Some(Region { columns: axis(x, shape.1)?, rows: axis(y, shape.0)? })
 }
 
-/// Frame without a strip of overscan along one of its edges.
+/// Removes a strip of overscan along one edge of the frame.
 fn without(strip: &Region, (rows, columns): (usize, usize)) -> Option<Region> {
     let (whole_rows, whole_columns) = (0..rows, 0..columns);
     let rest = |strip: &Range<usize>, n: usize| match (strip.start, strip.end) {
@@ -66,7 +68,7 @@ fn without(strip: &Region, (rows, columns): (usize, usize)) -> Option<Region> {
         (start, end) if start > 0 && end == n => Some(0..start),
         _ => None,
     };
-    // A strip stands along the shorter of its sides: rows of overscan may lack the corner.
+    // The strip runs along the edge on its shorter side: rows of overscan may lack the corner.
     let share = |part: &Range<usize>, n: usize| part.len() as f64 / n.max(1) as f64;
     if share(&strip.columns, columns) < share(&strip.rows, rows) {
         Some(Region { columns: rest(&strip.columns, columns)?, rows: whole_rows })
@@ -75,12 +77,11 @@ fn without(strip: &Region, (rows, columns): (usize, usize)) -> Option<Region> {
     }
 }
 
-/// The part of a frame that light reaches, as its header states; `None` where that is all of it, or nothing is
-/// stated.
+/// Returns the illuminated region stated in the header; `None` if it is the whole frame or not stated.
 ///
 /// # Errors
 ///
-/// A section that is none, or reaches beyond the frame.
+/// A section that cannot be parsed, or extends beyond the frame.
 pub fn region_of(facts: &Facts, shape: (usize, usize)) -> Result<Option<Region>, String> {
     let fault = |key: &str, text: &str| {
         format!(
@@ -89,7 +90,7 @@ pub fn region_of(facts: &Facts, shape: (usize, usize)) -> Result<Option<Region>,
             shape.1, shape.0
         )
     };
-    // Sections of some headers count pixels before binning.
+    // Sections of some headers count unbinned pixels.
     let bin = |name: &str| {
         facts.feature(name).and_then(|v| v.parse::<usize>().ok()).filter(|b| *b > 0).unwrap_or(1)
     };

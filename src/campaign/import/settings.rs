@@ -1,5 +1,5 @@
-//! Settings that all frames of a dataset share: what headers tell of two of them is refused, what only some tell
-//! is said.
+//! Settings shared by all frames of a dataset: contradicting headers are refused, settings that only
+//! some state are noted.
 
 use super::{Found, ImportError, few, names};
 use crate::features::same_value;
@@ -24,7 +24,7 @@ pub fn raw_frames(found: &[Found]) -> Result<(), ImportError> {
     )))
 }
 
-/// A setting in the words of whoever said it.
+/// Returns a setting in the terms of its source.
 fn word(frame: &Found, name: &str) -> String {
     let from = frame.facts.from.get(name).map_or(name, String::as_str);
     let keyword = from.split(' ').next().unwrap_or(from);
@@ -38,15 +38,15 @@ fn word(frame: &Found, name: &str) -> String {
     }
 }
 
-/// Settings of all frames, and what is to be said of them.
+/// Settings of all frames, and notes on them.
 pub struct Shared {
-    /// By their names.
+    /// Settings by name.
     pub features: BTreeMap<String, toml::Value>,
-    /// In words.
+    /// Notes, as sentences.
     pub notes: Vec<String>,
 }
 
-/// Refuses frames whose headers or names speak of two cameras or settings.
+/// Refuses frames whose headers or names state different cameras or settings.
 pub fn shared(found: &[Found]) -> Result<Shared, ImportError> {
     let of = |f: &Found| {
         let text = |name: &str, v: &Option<String>| v.clone().map(|v| (name.to_string(), v));
@@ -57,12 +57,12 @@ pub fn shared(found: &[Found]) -> Result<Shared, ImportError> {
             .filter_map(|(name, v)| text(name, v))
             .collect();
         all.extend(facts.differs.iter().cloned());
-        // A pedestal is added to corrected frames only: none is as good as 0.
+        // A pedestal is added to corrected frames only: a missing one equals 0.
         if found.iter().any(|f| f.facts.feature("PEDESTAL").is_some()) && facts.feature("PEDESTAL").is_none()
         {
             all.push(("PEDESTAL".into(), "0".into()));
         }
-        // TIFF without the tag begins at the upper left.
+        // A TIFF without the tag has its first pixel at the upper left.
         let turned = super::headers::ORIENTATION;
         if found.iter().any(|f| f.facts.feature(turned).is_some()) && facts.feature(turned).is_none() {
             all.push((turned.into(), "1".into()));
@@ -109,15 +109,15 @@ pub fn shared(found: &[Found]) -> Result<Shared, ImportError> {
     Ok(Shared { features, notes })
 }
 
-/// Sensor temperatures that differ by less belong to one setting of the cooler, kelvin.
+/// Maximum difference of sensor temperatures under one cooler setting, kelvin.
 pub const SAME_TEMPERATURE_K: f64 = 2.5;
 
-/// Temperature of a frame: the set one where it is stated, else the measured one.
+/// Returns the temperature of a frame: the set point if stated, else the measured one.
 pub fn temperature_c(frame: &Found) -> Option<f64> {
     frame.facts.set_temperature_c.or(frame.facts.temperature_c)
 }
 
-/// Groups of temperatures, each as (lowest, highest): neighbours of a group are close to each other.
+/// Groups temperatures, each group as (lowest, highest): neighbours within a group are close.
 pub fn temperatures(found: &[Found]) -> Vec<(f64, f64)> {
     let mut all: Vec<f64> = found.iter().filter_map(temperature_c).collect();
     all.sort_by(f64::total_cmp);

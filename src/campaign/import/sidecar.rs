@@ -5,11 +5,11 @@ use super::Facts;
 use super::words::of_description;
 use std::path::Path;
 
-/// Largest sidecar file, bytes.
+/// Maximum size of a sidecar file, bytes.
 const MAX_BYTES: u64 = 64 * 1024;
 /// Suffixes of a sidecar file.
 const SUFFIXES: [&str; 3] = [".CameraSettings.txt", ".txt", ".json"];
-/// Names of sidecar files that hold for a whole folder.
+/// Names of sidecar files that apply to a whole folder.
 const FOLDER_FILES: [&str; 7] = [
     "CameraSettings.txt",
     "settings.txt",
@@ -19,12 +19,12 @@ const FOLDER_FILES: [&str; 7] = [
     "acquisition.txt",
     "acquisition.json",
 ];
-/// Largest number of prefixes of a frame's name that are tried.
+/// Maximum number of prefixes of a frame's name that are tried.
 const MAX_PREFIXES: usize = 16;
 
-/// Facts of the sidecar file of a frame. It has the frame's name or a prefix of it, holds for the whole
-/// folder, or lies beside the folder under the folder's name; the first of these that exists is read. No
-/// folder is listed: the time for each frame does not grow with their number.
+/// Reads the facts of a frame's sidecar file. The file has the frame's name or a prefix of it, applies
+/// to the whole folder, or is beside the folder under the folder's name; the first existing one is read.
+/// No folder is listed, so the time per frame does not grow with their number.
 pub fn facts(image: &Path) -> Facts {
     let folder = image.parent().unwrap_or(Path::new(""));
     let name_of = |name: Option<&std::ffi::OsStr>| name.unwrap_or_default().to_string_lossy().into_owned();
@@ -40,13 +40,13 @@ pub fn facts(image: &Path) -> Facts {
     all.find(|path| path.is_file()).map(|path| read(&path)).unwrap_or_default()
 }
 
-/// A name and its beginnings up to a sign, the longest first.
+/// Returns a name and its prefixes up to a separator, the longest first.
 pub(super) fn prefixes(stem: &str) -> impl Iterator<Item = &str> {
     let cuts = stem.char_indices().rev().filter(|(at, c)| *at > 0 && !c.is_alphanumeric()).map(|(at, _)| at);
     [stem.len()].into_iter().chain(cuts).take(MAX_PREFIXES).map(|at| &stem[..at])
 }
 
-/// Facts of a sidecar file; none if it is too large.
+/// Reads the facts of a sidecar file; none if it is too large.
 fn read(path: &Path) -> Facts {
     if path.metadata().map_or(true, |m| m.len() > MAX_BYTES) {
         return Facts::default();

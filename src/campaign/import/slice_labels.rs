@@ -1,4 +1,4 @@
-//! Labels that ImageJ keeps for the slices of a stack: names of the files that it was made of.
+//! Slice labels of ImageJ stacks: names of the source files.
 
 use super::{Facts, names};
 use crate::dataset::image;
@@ -6,14 +6,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use tiff::tags::Tag;
 
-/// TIFF tags of ImageJ's own: the sizes of what it keeps, in bytes, and that (ImageJ, `TiffEncoder`).
+/// TIFF tags of ImageJ: byte counts of its metadata, and the metadata (ImageJ, `TiffEncoder`).
 const SIZES: Tag = Tag::Unknown(50_838);
 const KEPT: Tag = Tag::Unknown(50_839);
-/// Source of what a label says.
+/// Source name of facts from a label.
 const FROM: &str = "the label of the slice";
 
-/// Facts of the slices by their labels; empty of files without a label for each page, or whose labels say no
-/// kind and no exposure.
+/// Reads the facts of the slices from their labels; empty for files without a label per page, or whose
+/// labels state neither kind nor exposure.
 pub fn facts(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
     let labels = || {
         let directories = image::tiff_directories(path).ok()?;
@@ -23,7 +23,7 @@ pub fn facts(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
     };
     let Some(labels) = labels().filter(|labels| labels.len() == pages.len()) else { return BTreeMap::new() };
     let told = |(page, label): (&usize, String)| {
-        // Lines behind the first are the header of the file.
+        // Lines after the first are the header of the source file.
         let mut found = names::facts_in(&[], 0, label.lines().next().unwrap_or_default().trim());
         found.from.values_mut().for_each(|from| *from = FROM.into());
         (*page, found)
@@ -33,8 +33,8 @@ pub fn facts(path: &Path, pages: &[usize]) -> BTreeMap<usize, Facts> {
     if told.values().any(says) { told } else { BTreeMap::new() }
 }
 
-/// Texts of the labels: `IJIJ`, kinds with their numbers, and then each as UTF-16, all in the order of bytes of
-/// the file.
+/// Parses the label texts: `IJIJ`, kinds with their counts, then each text as UTF-16, all in the byte
+/// order of the file.
 fn labels_of(sizes: &[u32], kept: &[u8]) -> Option<Vec<String>> {
     let is_big = match kept.get(..4)? {
         b"IJIJ" => true,
@@ -75,7 +75,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Sizes and bytes as ImageJ writes them: a text of another kind, then labels.
+    /// Returns byte counts and metadata as ImageJ writes them: a text of another kind, then labels.
     fn kept(labels: &[&str], is_big: bool) -> (Vec<u32>, Vec<u8>) {
         let number = |n: u32| if is_big { n.to_be_bytes() } else { n.to_le_bytes() };
         let text = |t: &str| -> Vec<u8> {

@@ -1,4 +1,4 @@
-//! Frames of one file, whatever holds them.
+//! Frames of one file of any format.
 
 use super::{Facts, headers, npy, ome, slice_labels, stacks};
 use crate::dataset::image::{self, Images, NUMPY, Stack, Values};
@@ -6,25 +6,26 @@ use ndarray::{Array3, Axis};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Choices that a file of several arrays needs.
+/// Options for a file with several arrays.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ReadOptions {
-    /// Axis that counts the frames of NumPy arrays and of HDF5 datasets with three axes; else the first.
+    /// Axis that counts the frames of NumPy arrays and of HDF5 datasets with three axes; default: the
+    /// first.
     pub frames_axis: Option<usize>,
-    /// Path of the dataset of frames in HDF5 files; else the only one that can be.
+    /// Path of the dataset of frames in HDF5 files; default: the only candidate.
     pub hdf5_dataset: Option<String>,
 }
 
-/// A file of frames, opened once.
+/// Open file of frames.
 pub struct Source {
     kind: Kind,
     /// Numbers of the pages that are frames.
     pages: Vec<usize>,
-    /// Facts of single pages, where the file has them.
+    /// Facts of single pages, if the file states them.
     told: BTreeMap<usize, Facts>,
-    /// Frames that are passed over, in words.
+    /// Descriptions of skipped frames.
     notes: Vec<String>,
-    /// Every reader of datasets can read the file.
+    /// True if every dataset reader can read the file.
     is_image: bool,
 }
 
@@ -33,8 +34,8 @@ enum Kind {
     Array(npy::Stack),
 }
 
-/// Share of their mean by which three planes of a cube differ at most where they are frames: colours differ by
-/// more.
+/// Maximum difference of three planes of a cube, relative to their mean, if they are frames: colours
+/// differ by more.
 const SAME_LEVEL: f64 = 0.02;
 
 impl Source {
@@ -42,7 +43,7 @@ impl Source {
     ///
     /// # Errors
     ///
-    /// Where the file is of no kind that radcam reads, or is damaged.
+    /// The file has a format that radcam does not read, or is damaged.
     pub fn open(path: &Path, options: &ReadOptions) -> Result<Self, String> {
         let start = crate::input::start(path, 6).map_err(|e| e.to_string())?;
         let of = |kind, pages| {
@@ -77,32 +78,32 @@ impl Source {
         Ok(out)
     }
 
-    /// Numbers of the pages that are frames.
+    /// Returns the numbers of the pages that are frames.
     pub fn pages(&self) -> &[usize] {
         &self.pages
     }
 
-    /// Facts of a page, where the file has them for each.
+    /// Returns the facts of a page, if the file states them per page.
     pub fn told(&self, page: usize) -> Option<&Facts> {
         self.told.get(&page)
     }
 
-    /// True if the facts of the pages are all that the file says.
+    /// Returns true if the file states nothing beyond the facts of its pages.
     pub fn tells_all(&self) -> bool {
         matches!(&self.kind, Kind::Images(images) if !images.stacks().is_empty())
     }
 
-    /// Frames that are passed over, in words.
+    /// Returns descriptions of skipped frames.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// True of values of a frame that was never written.
+    /// Returns true for the values of a frame that was never written.
     pub fn is_blank(&self, page: usize, values: &Values) -> bool {
         matches!(&self.kind, Kind::Images(images) if images.is_blank(page, values))
     }
 
-    /// True if the file says that its pixels lie under a colour filter.
+    /// Returns true if the file marks its pixels as a colour-filter mosaic.
     pub fn is_mosaic(&self) -> bool {
         match &self.kind {
             Kind::Images(images) => self.pages.first().is_some_and(|page| images.is_mosaic(*page)),
@@ -110,16 +111,17 @@ impl Source {
         }
     }
 
-    /// Bytes of the file are frames of a dataset as they are, once their codes are.
+    /// Returns true if the file can be copied into a dataset unchanged, provided that its codes can.
     pub fn is_image(&self) -> bool {
         self.is_image
     }
 
-    /// Bits of a pixel as the file keeps it, 8, 16 or 32; of arrays, whose values are brought into codes, 16.
+    /// Returns the bits per pixel in the file, 8, 16 or 32; 16 for arrays, whose values are converted to
+    /// codes.
     ///
     /// # Errors
     ///
-    /// Where the file cannot be read.
+    /// The file cannot be read.
     pub fn stored_bits(&self) -> Result<u8, String> {
         match &self.kind {
             Kind::Images(images) if self.is_image => images.stored_bits().map_err(|e| e.to_string()),
@@ -127,11 +129,11 @@ impl Source {
         }
     }
 
-    /// Values of a page: codes where they are whole and fit into 16 bits.
+    /// Reads the values of a page: codes if they are whole and fit into 16 bits.
     ///
     /// # Errors
     ///
-    /// Where there is no such page, or it cannot be read.
+    /// There is no such page, or it cannot be read.
     pub fn values(&self, page: usize) -> Result<Values, String> {
         let values = match &self.kind {
             Kind::Images(images) => images.values(page).map_err(|e| e.to_string())?,
@@ -145,7 +147,8 @@ impl Source {
         Ok(values.as_codes())
     }
 
-    /// Three planes of a FITS cube are three frames, or the colours of one picture.
+    /// Refuses a FITS cube of three planes with different levels: they may be the colours of one
+    /// picture.
     fn refuse_colours(&self) -> Result<(), String> {
         let Kind::Images(images) = &self.kind else { return Ok(()) };
         if !images.is_cube() || images.frames().len() != 3 {
@@ -165,12 +168,12 @@ impl Source {
     }
 }
 
-/// Frames of a stack, and rows and columns of these, that are looked at for the axis that counts them.
+/// Maximum number of frames of a stack, and of their rows and columns, examined to find the frame axis.
 const LOOKED_AT: usize = 16;
 const CORNER: usize = 256;
 
-/// Refuses a stack of an HDF5 file whose first axis may not be that of the frames; values for each frame say that
-/// it is.
+/// Refuses a stack of an HDF5 file whose first axis may not count the frames; values stored per frame
+/// prove that it does.
 fn frames_come_first(images: &Images, stack: &Stack) -> Result<(), String> {
     if !stack.keys.is_empty() || !stack.of_frames.is_empty() || stack.frames < 2 {
         return Ok(());

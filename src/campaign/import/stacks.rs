@@ -1,4 +1,4 @@
-//! Facts of the frames of HDF5 files: image keys, names of datasets, and values that stand beside them.
+//! Facts of frames in HDF5 files: image keys, dataset names, and values stored with them.
 
 use super::words::{self, Said, Writer};
 use super::{Facts, kinds};
@@ -6,15 +6,15 @@ use crate::dataset::Kind;
 use crate::dataset::image::Stack;
 use std::collections::BTreeMap;
 
-/// Frames of an HDF5 file that are taken.
+/// Frames of an HDF5 file that are used.
 pub struct Told {
-    /// Facts by the number of the page.
+    /// Facts by page number.
     pub facts: BTreeMap<usize, Facts>,
-    /// Frames that are left out, in words.
+    /// Descriptions of excluded frames.
     pub notes: Vec<String>,
 }
 
-/// Kind of an image key (NXtomo of NeXus); `None` of projections and of invalid frames.
+/// Converts an image key (NXtomo of NeXus) to a kind; `None` for projections and invalid frames.
 fn of_key(key: i64) -> Option<Kind> {
     match key {
         1 => Some(Kind::Flat),
@@ -23,17 +23,17 @@ fn of_key(key: i64) -> Option<Kind> {
     }
 }
 
-/// Kind that the name of a dataset says: `data_white`, `darks`.
+/// Returns the kind stated by the name of a dataset: `data_white`, `darks`.
 fn of_name(stack: &Stack) -> Option<(Kind, &str)> {
     let said = |path: &String| kinds::of(path.rsplit('/').next().unwrap_or(path));
     stack.paths.iter().find_map(|path| Some((said(path).kind.or(said(path).weak)?, path.as_str())))
 }
 
-/// Facts of every frame that is a dark or a flat, or whose kind nobody states.
+/// Collects the facts of every frame that is a dark or a flat, or whose kind is not stated.
 ///
 /// # Errors
 ///
-/// A file that has neither darks nor flats.
+/// The file has neither darks nor flats.
 pub fn told(stacks: &[Stack]) -> Result<Told, String> {
     let mut out = Told { facts: BTreeMap::new(), notes: Vec::new() };
     for stack in stacks {
@@ -49,7 +49,7 @@ pub fn told(stacks: &[Stack]) -> Result<Told, String> {
                     of_all = of_all.or(named);
                     of_all.set_kind(kind, &from);
                 }
-                // Beside datasets that say their kind these are the projections.
+                // Beside datasets that state their kind, the others are projections.
                 None if stacks.len() > 1 => {
                     out.notes.push(format!(
                         "{} frames of {} are left out: projections, beside darks and flats",
@@ -129,7 +129,7 @@ mod tests {
             of,
             [(2, dark, Some(0.005)), (3, dark, Some(0.007)), (4, flat, Some(0.005)), (5, flat, Some(0.007))]
         );
-        // Alone it is what its name or the user says.
+        // A single dataset has the kind stated by its name or the user.
         assert_eq!(told(&[exchange("data", 0)]).unwrap().facts[&0].kind, None);
     }
 }

@@ -1,17 +1,18 @@
-//! Numbers of names that count frames or tell the time: they part no sets.
+//! Counters and times in names: they do not separate sets.
 
 use super::headers;
 use super::names::numbers;
 use crate::number::seconds;
 use std::ops::Range;
 
-/// Digits of a run that is a counter or a time stamp wherever it stands: `img_000000012`, `21000312`.
+/// Minimum digits of a number that is a counter or time stamp at any position: `img_000000012`,
+/// `21000312`.
 const COUNTER_DIGITS: usize = 6;
 
-/// Words in front of a number that counts frames.
+/// Words before a number that counts frames.
 const COUNTERS: [&str; 4] = ["frame", "frm", "shot", "snap"];
 
-/// A run of digits.
+/// Run of digits.
 #[derive(Debug, Clone, Copy)]
 struct Run {
     start: usize,
@@ -54,12 +55,12 @@ fn is_time(hour: u32, minute: u32, second: u32) -> bool {
     hour < 24 && minute < 60 && second < 61
 }
 
-/// One separator, or none, between two runs.
+/// Returns the text between two runs if it is a single separator or empty.
 fn gap(text: &str, a: Run, b: Run) -> &str {
     &text[a.end..b.start]
 }
 
-/// Dates with the times behind them, and times written with letters (`21h00m03s`): stamps for sure.
+/// Finds dates followed by times, and times written with letters (`21h00m03s`): unambiguous stamps.
 pub fn stamps(text: &str) -> Vec<Range<usize>> {
     let runs = runs(text);
     let mut out: Vec<Range<usize>> = Vec::new();
@@ -89,12 +90,12 @@ pub fn stamps(text: &str) -> Vec<Range<usize>> {
     out
 }
 
-/// Seconds since 1970 of the first date with a time to the second, as [`headers::time_s`] has it; digits behind
-/// the seconds are their fraction.
+/// Returns seconds since 1970 of the first date with a time to the second, as [`headers::time_s`]
+/// defines them; digits after the seconds are their fraction.
 ///
 /// [`headers::time_s`]: super::headers::time_s
 pub fn time_s(text: &str) -> Option<f64> {
-    /// Digits of a date with its time.
+    /// Number of digits of a date with its time.
     const WHOLE: usize = 14;
     let digits_of =
         |stamp: Range<usize>| -> String { text[stamp].chars().filter(char::is_ascii_digit).collect() };
@@ -106,11 +107,11 @@ pub fn time_s(text: &str) -> Option<f64> {
     Some(headers::time_s(&format!("{date}T{time}"))? + fraction)
 }
 
-/// A date at the first run: how many runs it has, and where it ends.
+/// Parses a date at the first run: returns the number of its runs, and its end.
 fn date_at(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     let first = *runs.first()?;
     let digits = &text[first.start..first.end];
-    // 20240501, also with the time in one run (20240501210003, 20240501210003123).
+    // Formats 20240501, 20240501210003 and 20240501210003123.
     if matches!(first.len(), 8 | 14 | 17) {
         let part = |range: Range<usize>| digits[range].parse().unwrap_or(u32::MAX);
         let whole = first.len() == 8 || is_time(part(8..10), part(10..12), part(12..14));
@@ -127,7 +128,7 @@ fn date_at(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     (sound && third.len() == 2 && is_date(first.of(text), second.of(text), day)).then_some((3, third.end))
 }
 
-/// A time behind a date whose last run is the first of `runs`.
+/// Parses a time after a date whose last run is the first of `runs`.
 fn time_behind(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     let (date, first) = (*runs.first()?, *runs.get(1)?);
     if !matches!(gap(text, date, first), "_" | "-" | "T" | "t" | " " | "__" | "." | " at ") {
@@ -148,7 +149,8 @@ fn time_behind(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     clock(text, &runs[1..])
 }
 
-/// A time of day as three runs of two digits, with its fraction: how many runs it has, and where it ends.
+/// Parses a time of day of three two-digit runs, with its fraction: returns the number of its runs, and
+/// its end.
 fn clock(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     let (h, m, s) = (*runs.first()?, *runs.get(1)?, *runs.get(2)?);
     let separator = gap(text, h, m);
@@ -160,23 +162,23 @@ fn clock(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
         && is_time(h.of(text), m.of(text), s.of(text));
     let fraction = runs.get(3).filter(|f| f.len() >= 3 && matches!(gap(text, s, **f), "." | ","));
     let (count, end) = fraction.map_or((3, s.end), |fraction| (4, fraction.end));
-    // 01_02_10ms are two counters and an exposure; of 01_02_10s nobody knows.
+    // 01_02_10ms are two counters and an exposure; 01_02_10s is ambiguous.
     let measured = is_measured(text, end) && !letters(text, end).eq_ignore_ascii_case("s");
     (sound && !measured).then_some((count, end))
 }
 
-/// Letters behind a place.
+/// Returns the letters after a position.
 fn letters(text: &str, end: usize) -> &str {
     let rest = &text[end..];
     &rest[..rest.find(|c: char| !c.is_alphabetic()).unwrap_or(rest.len())]
 }
 
-/// Whether a unit of time stands behind a number.
+/// Returns true if a number is followed by a unit of time.
 fn is_measured(text: &str, end: usize) -> bool {
     seconds(letters(text, end)).is_some()
 }
 
-/// `21h00m03s` and `12m30s`: a time of day or a duration in parts.
+/// Parses `21h00m03s` and `12m30s`: a time of day or a duration in parts.
 fn lettered(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     let unit = |a: Run, b: Option<&Run>| {
         text[a.end..b.map_or(text.len(), |b| b.start)].trim_matches(['_', '-', ' ']).to_lowercase()
@@ -200,7 +202,7 @@ fn lettered(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     let letters = rest.find(|c: char| !c.is_alphabetic()).unwrap_or(rest.len());
     let ends = matches!(&*rest[..letters].to_lowercase(), "s" | "sec" | "m" | "min" | "h");
     let end = last.end + letters;
-    // Thousandths of the second: `14h00m09s747ms`.
+    // Milliseconds: `14h00m09s747ms`.
     if let Some(parts) = runs.get(count).filter(|r| starts(&word, &["h", "hr"]) && r.start == end)
         && ends
         && text[parts.end..].to_lowercase().starts_with("ms")
@@ -210,7 +212,7 @@ fn lettered(text: &str, runs: &[Run]) -> Option<(usize, usize)> {
     (count > 1 && ends).then_some((count, end))
 }
 
-/// Three pairs of digits that may be a time of day: `Capture 21_00_03`. Counters look like that as well.
+/// Finds three digit pairs that may be a time of day: `Capture 21_00_03`. Counters look alike.
 pub fn clocks(text: &str) -> Vec<Range<usize>> {
     let runs = runs(text);
     let alone = |at: usize, end: usize| {
@@ -223,7 +225,7 @@ pub fn clocks(text: &str) -> Vec<Range<usize>> {
     (0..runs.len()).filter_map(of).filter(|r| alone(r.start, r.end)).collect()
 }
 
-/// Puts `#` in the place of every range. Ranges may overlap.
+/// Replaces every range by `#`. Ranges may overlap.
 fn without(text: &str, mut ranges: Vec<Range<usize>>) -> String {
     ranges.sort_by_key(|r| (r.start, r.end));
     let mut out = String::new();
@@ -241,16 +243,16 @@ fn without(text: &str, mut ranges: Vec<Range<usize>>) -> String {
     out + &text[at..]
 }
 
-/// Places of a temperature with its unit: `-10.0C`, `-9.9°C`.
+/// Finds temperatures with their unit: `-10.0C`, `-9.9°C`.
 fn temperatures(text: &str) -> Vec<Range<usize>> {
     let degrees = |n: &super::names::Number<'_>| n.temperature_c.is_some();
     numbers(text).iter().filter(|n| degrees(n)).map(|n| n.place.clone()).collect()
 }
 
-/// Words of hexadecimal digits that are random names: `4c38cec7`, a UUID.
+/// Finds hexadecimal words that are random names: `4c38cec7`, a UUID.
 pub fn digests(text: &str) -> Vec<Range<usize>> {
     const LENGTH: usize = 8;
-    /// Digits of the parts of a UUID (RFC 9562, section 4).
+    /// Number of digits in the parts of a UUID (RFC 9562, section 4).
     const UUID: [usize; 5] = [8, 4, 4, 4, 12];
     let mut words: Vec<Range<usize>> = Vec::new();
     let mut start = 0;
@@ -269,7 +271,7 @@ pub fn digests(text: &str) -> Vec<Range<usize>> {
     single.cloned().chain(whole.map(|w| w[0].start..w[UUID.len() - 1].end)).collect()
 }
 
-/// Numbers of so many digits that are no date, no time and no counter with zeros in front.
+/// Returns numbers with this many digits that are not a date, a time or a zero-padded counter.
 pub fn long_numbers(name: &str, digits: std::ops::RangeInclusive<usize>) -> Vec<String> {
     let stamps = stamps(name);
     let is_long = |run: &Run| {
@@ -281,14 +283,14 @@ pub fn long_numbers(name: &str, digits: std::ops::RangeInclusive<usize>) -> Vec<
     runs(name).into_iter().filter(is_long).map(|run| name[run.start..run.end].to_string()).collect()
 }
 
-/// A name without what file managers add to that of a copy: it belongs to the set of its original.
+/// Removes suffixes that file managers add to copies: a copy belongs to the set of its original.
 fn uncopied(name: &str) -> String {
     const ADDED: [&str; 5] = [" - Copy", " - Kopie", " - Copie", " copy", "_copy"];
     ADDED.iter().fold(name.to_string(), |name, added| name.replace(added, ""))
 }
 
-/// A name without what differs from frame to frame: time stamps, sensor temperatures, long counters, and the last
-/// number that has no unit. Frames of one set share it.
+/// Removes everything that differs from frame to frame: time stamps, sensor temperatures, long counters,
+/// and the last number without a unit. Frames of one set share the result.
 pub fn stem(name: &str) -> String {
     let name = &uncopied(name);
     let mut ranges = stamps(name);
@@ -304,12 +306,12 @@ pub fn stem(name: &str) -> String {
         n.text.len() >= COUNTER_DIGITS || COUNTERS.iter().any(|word| n.before.eq_ignore_ascii_case(word))
     };
     ranges.extend(free.iter().filter(|n| whole(n.text) && counts(n)).map(|n| n.place.clone()));
-    // The number in front of a file name's extension, if it is a whole number.
+    // The number before a file extension, if it is an integer.
     ranges.extend(free.iter().rev().find(|n| !n.text.contains('.')).map(|n| n.place.clone()));
     without(name, ranges)
 }
 
-/// A name without any number that has no unit, and whether what is gone looks like a time of day.
+/// Removes all numbers without a unit; also returns true if a removed part looks like a time of day.
 pub fn loose(name: &str) -> (String, bool) {
     let name = &uncopied(name);
     let mut ranges = stamps(name);
@@ -324,7 +326,7 @@ pub fn loose(name: &str) -> (String, bool) {
     (without(name, ranges), timed)
 }
 
-/// Places of words that count as numbers do: `_A`, `first`, `runB`.
+/// Finds words that count like numbers: `_A`, `first`, `runB`.
 fn ordinals(name: &str) -> Vec<Range<usize>> {
     const WORDS: [&str; 8] = ["one", "two", "three", "four", "first", "second", "third", "fourth"];
     const RUNS: [&str; 4] = ["run", "rep", "set", "series"];
@@ -342,7 +344,7 @@ fn ordinals(name: &str) -> Vec<Range<usize>> {
     out
 }
 
-/// Whether a place of a name belongs to a time of day or a date.
+/// Returns true if a position in a name belongs to a time of day or a date.
 pub fn is_stamp(name: &str, place: &Range<usize>) -> bool {
     let touches = |r: &Range<usize>| r.start < place.end && place.start < r.end;
     stamps(name).iter().chain(&clocks(name)).any(touches)

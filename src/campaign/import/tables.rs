@@ -1,4 +1,4 @@
-//! Tables beside the frames that list their settings: `exposures.csv`, the log of a script, `notes.txt`.
+//! Tables beside the frames with their settings: `exposures.csv`, the log of a script, `notes.txt`.
 
 use super::words::{self, Said, Writer};
 use super::{Facts, lists};
@@ -7,13 +7,13 @@ use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
-/// Largest table, bytes: some 40 000 rows.
+/// Maximum size of a table, bytes: some 40 000 rows.
 const MAX_BYTES: u64 = 4 * 1024 * 1024;
-/// Largest number of tables of a folder that are read, in the order of their names, plain texts last.
+/// Maximum number of tables read per folder, sorted by name, plain texts last.
 const MAX_TABLES: usize = 20;
 /// Extensions of tables.
 const EXTENSIONS: [&str; 3] = ["csv", "tsv", "txt"];
-/// Columns that name the frame, its set or its folder, the best first; else the first column does.
+/// Columns that name the frame, its set or its folder, the best first; otherwise the first column.
 const NAMES: [&str; 18] = [
     "file",
     "filename",
@@ -35,16 +35,16 @@ const NAMES: [&str; 18] = [
     "archivo",
 ];
 
-/// Columns that name the first frame of a row and the last one.
+/// Columns that name the first and the last frame of a row.
 const FIRST: [&str; 7] = ["first", "firstfile", "from", "start", "von", "erste", "erstes"];
 const LAST: [&str; 7] = ["last", "lastfile", "to", "end", "bis", "letzte", "letztes"];
-/// Largest number of frames that the rows of a table name by their first and last one.
+/// Maximum number of frames that the rows of a table name by first and last.
 const MAX_FRAMES: usize = 100_000;
 
-/// Tables by the folder in which they lie.
+/// Tables by folder.
 pub struct FrameTables(BTreeMap<PathBuf, Vec<FrameTable>>);
 
-/// Rows by the name that each begins with: cells under the names of their columns, or lines of plain text.
+/// Rows by their leading name: cells under column names, or lines of plain text.
 enum Rows {
     Cells(HashMap<String, Vec<Said>>),
     Lines(HashMap<String, String>),
@@ -58,7 +58,7 @@ impl Rows {
         }
     }
 
-    /// First of the names in the order of the alphabet.
+    /// Returns the alphabetically first name.
     fn example(&self) -> Option<&String> {
         match self {
             Self::Cells(rows) => rows.keys().min(),
@@ -71,12 +71,12 @@ impl Rows {
 struct FrameTable {
     path: PathBuf,
     rows: Rows,
-    /// True once a row named a frame.
+    /// True after a row has named a frame.
     is_used: Cell<bool>,
 }
 
 impl FrameTables {
-    /// Reads the tables in the folders of the images and in the folders above these.
+    /// Reads the tables in the folders of the images and in their parent folders.
     pub fn beside(images: &[PathBuf]) -> Self {
         let own: BTreeSet<&Path> = images.iter().filter_map(|p| p.parent()).collect();
         let above = own.iter().filter_map(|folder| folder.parent());
@@ -85,14 +85,14 @@ impl FrameTables {
         Self(found.filter(|(_, tables)| !tables.is_empty()).collect())
     }
 
-    /// Facts of the row of a table that names an image, its name up to a sign, or its folder; none where no table
-    /// does.
+    /// Returns the facts of the table row that names an image, a prefix of its name up to a separator,
+    /// or its folder; empty if there is none.
     pub fn facts(&self, image: &Path) -> Facts {
         self.facts_of(image, |rows| matches!(rows, Rows::Cells(_)))
     }
 
-    /// Facts of the line of a plain text that names an image in the same way. They count less than names: any
-    /// prose may begin with a folder's name.
+    /// Returns the facts of the plain-text line that names an image in the same way. They rank below
+    /// names: any prose may begin with a folder's name.
     pub fn listed(&self, image: &Path) -> Facts {
         self.facts_of(image, |rows| matches!(rows, Rows::Lines(_)))
     }
@@ -117,7 +117,7 @@ impl FrameTables {
         Facts::default()
     }
 
-    /// Tables of which no row named a frame, in words.
+    /// Lists tables in which no row named a frame.
     pub fn unused(&self) -> Vec<String> {
         let unused = self.0.values().flatten().filter(|t| !t.is_used.get());
         let words = |t: &FrameTable| {
@@ -131,7 +131,7 @@ impl FrameTables {
     }
 }
 
-/// Tables of a folder in the order of their names.
+/// Reads the tables of a folder, sorted by name.
 fn tables_in(folder: &Path) -> Vec<FrameTable> {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok).map(|e| e.path());
@@ -141,7 +141,7 @@ fn tables_in(folder: &Path) -> Vec<FrameTable> {
             && path.metadata().is_ok_and(|m| m.is_file() && m.len() <= MAX_BYTES)
     };
     let mut paths: Vec<PathBuf> = entries.filter(is_table).collect();
-    // A camera's program may write a text for each frame: what is a table comes first.
+    // Plain texts come last: a camera program may write one per frame.
     paths.sort_by_cached_key(|path| (is_text(path), path.clone()));
     paths.truncate(MAX_TABLES);
     paths.iter().filter_map(|path| table(path)).collect()
@@ -152,7 +152,7 @@ fn is_text(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt"))
 }
 
-/// Reads a table with a header, or a list in plain text; `None` of a file that is neither.
+/// Reads a table with a header, or a plain-text list; `None` for any other file.
 fn table(path: &Path) -> Option<FrameTable> {
     let text = crate::input::plain_text(path).ok()?;
     let rows = match is_text(path) && !names_frames(&text) {
@@ -170,7 +170,8 @@ fn names_frames(text: &str) -> bool {
     columns.len() > 1 && columns.iter().any(|c| NAMES.contains(&&**c) || FIRST.contains(&&**c))
 }
 
-/// Parses rows by the name that each begins with. Rows of one name that differ are asked later, as headers are.
+/// Parses rows by their leading name. Rows of one name with different values are questioned later, as
+/// for headers.
 fn rows_of(text: &str) -> Option<HashMap<String, Vec<Said>>> {
     let text = text.trim_start_matches('\u{feff}');
     let mut reader = csv::ReaderBuilder::new()
@@ -202,8 +203,8 @@ fn rows_of(text: &str) -> Option<HashMap<String, Vec<Said>>> {
     Some(rows)
 }
 
-/// Names from the first to the last, which differ in the number at their end: `img_0001`, `img_0004`; `None` of
-/// more than so many.
+/// Lists the names from the first to the last, which differ in their trailing number: `img_0001`,
+/// `img_0004`; `None` beyond the maximum.
 fn between(first: &str, last: &str, most: usize) -> Option<Vec<String>> {
     let parts = |name: &str| {
         let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_string();
@@ -231,7 +232,7 @@ mod tests {
         for (first, last) in [("img_5", "img_4"), ("a1", "b2"), ("a1", "a99999")] {
             assert_eq!(between(first, last, 1000), None, "{first} {last}");
         }
-        // Times of a frame that is named are no frames.
+        // Start and end times of a named frame are not frame names.
         assert_eq!(rows_of("file,start,end\nx.tif,1.5,9\n").unwrap().len(), 1);
     }
 

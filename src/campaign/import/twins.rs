@@ -1,4 +1,4 @@
-//! One frame in two formats: `img_1.tif` beside `img_1.png`.
+//! Frames stored in two formats: `img_1.tif` beside `img_1.png`.
 
 use super::{Found, ImportError, few};
 use crate::dataset::image::Values;
@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
-/// A file's name without its extension.
+/// Returns a file's name without its extension.
 pub fn name(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase()
 }
@@ -15,7 +15,7 @@ fn extension(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
-/// Names that files of several formats have.
+/// Finds names shared by files of several formats.
 pub fn names(paths: &[PathBuf]) -> BTreeSet<String> {
     let mut formats: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for path in paths {
@@ -24,7 +24,7 @@ pub fn names(paths: &[PathBuf]) -> BTreeSet<String> {
     formats.into_iter().filter(|(_, of)| of.len() > 1).map(|(name, _)| name).collect()
 }
 
-/// Digest of a frame's values.
+/// Computes a digest of a frame's values.
 pub fn digest(values: &Values) -> u64 {
     let mut hasher = DefaultHasher::new();
     match values {
@@ -40,18 +40,18 @@ pub fn digest(values: &Values) -> u64 {
     hasher.finish()
 }
 
-/// How much a file says of itself, and then which format is kept.
+/// Ranks a file by the amount of its metadata, then by format.
 fn rank(frame: &Found) -> (usize, usize) {
     let format = ["fits", "fit", "fts", "tif", "tiff", "png", "npy"];
     let place = format.iter().position(|f| *f == extension(&frame.path)).unwrap_or(format.len());
     (usize::MAX - frame.facts.from.len() - usize::from(frame.facts.time_s.is_some()), place)
 }
 
-/// Keeps one of several files with the same frames; what was dropped, in words.
+/// Keeps one of several files with the same frames; returns descriptions of the dropped ones.
 ///
 /// # Errors
 ///
-/// Files of one folder and one name with other pixels: nobody knows which is the frame.
+/// Files of one folder and one name with different pixels: the right one is unknown.
 pub fn count_once(frames: &mut Vec<Found>) -> Result<Vec<String>, ImportError> {
     let mut of_file: BTreeMap<PathBuf, Vec<usize>> = BTreeMap::new();
     for (k, frame) in frames.iter().enumerate().filter(|(_, f)| f.digest != 0) {

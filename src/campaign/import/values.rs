@@ -1,20 +1,20 @@
-//! Numbers and units as programs and people write them.
+//! Parser of numbers and units in the notations of programs and people.
 
 use crate::number::seconds;
 
 /// Reading of a text that begins with a number.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Reading {
-    /// No number.
+    /// Not a number.
     None,
-    /// The number.
+    /// Unambiguous number.
     One(f64),
-    /// Two numbers that the text may mean.
+    /// Two possible readings.
     Two(f64, f64),
 }
 
 impl Reading {
-    /// The number, where there is only one reading.
+    /// Returns the number if there is only one reading.
     pub fn one(&self) -> Option<f64> {
         match self {
             Self::One(value) => Some(*value),
@@ -23,10 +23,10 @@ impl Reading {
     }
 }
 
-/// The number at the start of a text, and the text behind it.
+/// Parses the number at the start of a text, and returns the rest.
 ///
-/// The decimal sign is a point or a comma. One comma with three digits behind it is a thousands separator to
-/// some and the decimal comma to others: both readings are returned.
+/// The decimal sign is a point or a comma. A single comma before three digits is a thousands separator
+/// to some and the decimal comma to others: both readings are returned.
 pub fn number(text: &str) -> (Reading, &str) {
     let text = text.trim();
     let bytes = text.as_bytes();
@@ -65,7 +65,7 @@ pub fn number(text: &str) -> (Reading, &str) {
     (reading, text[end..].trim_start())
 }
 
-/// Shutter speed `1/400`, a whole number over another one, at the start of a text, and the text behind it.
+/// Parses a shutter speed `1/400`, a ratio of integers, at the start of a text, and returns the rest.
 pub fn fraction(text: &str) -> Option<(Reading, &str)> {
     let (above, rest) = text.trim().split_once('/')?;
     let end = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
@@ -76,7 +76,7 @@ pub fn fraction(text: &str) -> Option<(Reading, &str)> {
     (ends && below > 0).then(|| (Reading::One(f64::from(above) / f64::from(below)), rest.trim_start()))
 }
 
-/// Digits with a decimal point that a text of digits, points and commas may mean.
+/// Returns the possible decimal readings of a text of digits, points and commas.
 fn readings(text: &str) -> (Option<String>, Option<String>) {
     let count = |c: char| text.matches(c).count();
     let grouped = |separator: char, whole: &str| {
@@ -91,7 +91,7 @@ fn readings(text: &str) -> (Option<String>, Option<String>) {
             let thousands = grouped(',', text) && whole != "0";
             (Some(decimal), thousands.then(|| text.replace(',', "")))
         }
-        // Groups of thousands, and the decimal sign behind them.
+        // Thousands separators, followed by the decimal sign.
         (1, _) | (_, 1) if count('.') > 0 && count(',') > 0 => {
             let at = text.rfind(['.', ',']).unwrap_or(0);
             let (decimal, other) = if text[at..].starts_with('.') { ('.', ',') } else { (',', '.') };
@@ -105,16 +105,17 @@ fn readings(text: &str) -> (Option<String>, Option<String>) {
     }
 }
 
-/// A time in seconds: the number that its decimals are, so that 35 ms is 0.035 and 47.933 us is 0.000047933.
+/// Converts a time to seconds so that the result is the nearest decimal: 35 ms is 0.035 and 47.933 us is
+/// 0.000047933.
 pub fn in_seconds(value: f64, unit_s: f64) -> f64 {
     let seconds = value * unit_s;
     format!("{seconds:.14e}").parse().unwrap_or(seconds)
 }
 
-/// The unit of time that a comment names: `exposure time in ms`, `[s] integration`. `Err` where it names two,
-/// or one that cannot be read.
+/// Finds the unit of time in a comment: `exposure time in ms`, `[s] integration`. `Err` if there are
+/// two, or one that cannot be parsed.
 pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
-    // A unit in brackets counts alone (FITS standard 4.0, section 4.3).
+    // A unit in brackets takes precedence (FITS standard 4.0, section 4.3).
     if let Some((inside, _)) = comment.split_once('[').and_then(|(_, rest)| rest.split_once(']'))
         && let Some(unit_s) = seconds(inside.trim())
     {
@@ -123,12 +124,12 @@ pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
     // Programs replace a micro sign that they cannot write by a question mark.
     let is_lost =
         |word: &str| matches!(word.trim_matches(['(', ')', '[', ']', '.', ',', ';']), "?s" | "\u{fffd}s");
-    // `(min)` is the minute or the least.
+    // `(min)` may mean minute or minimum.
     if comment.split_whitespace().any(is_lost) || comment.contains("(min)") {
         return Err(());
     }
     let words = comment.split(|c: char| !c.is_alphanumeric() && c != '\'' && c != '/');
-    // min is the least as often as the minute.
+    // min means minimum as often as minute.
     let words = words.map(|w| w.trim_matches('/')).filter(|w| !w.eq_ignore_ascii_case("min"));
     let mut units: Vec<f64> = words.filter_map(seconds).collect();
     units.dedup();
@@ -139,7 +140,7 @@ pub fn unit_in(comment: &str) -> Result<Option<f64>, ()> {
     }
 }
 
-/// A word and the unit of time behind it: `exposure_ms`, `Exposure (us)`, `EXPOINUS`.
+/// Splits a word and its unit of time: `exposure_ms`, `Exposure (us)`, `EXPOINUS`.
 pub fn split_unit(key: &str) -> (String, Option<f64>) {
     let words: Vec<&str> = key.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()).collect();
     let joined = |words: &[&str]| words.concat().to_lowercase();

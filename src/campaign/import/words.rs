@@ -8,11 +8,11 @@ use crate::number::seconds;
 /// A named value.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Said {
-    /// Its name as it stands.
+    /// Name as written.
     pub key: String,
-    /// Its value as text, without quotes.
+    /// Value as text, without quotes.
     pub value: String,
-    /// The comment behind a FITS value.
+    /// Comment of a FITS value.
     pub comment: String,
 }
 
@@ -22,18 +22,18 @@ impl Said {
     }
 }
 
-/// Who writes the words: it decides what a number without a unit means.
+/// Kind of writer, which determines the meaning of a number without a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Writer {
-    /// FITS: times are in seconds where nothing else is stated (FITS standard 4.0, section 4.3).
+    /// FITS: times are in seconds unless stated otherwise (FITS standard 4.0, section 4.3).
     Fits,
-    /// `key = value` lines: a number without a unit is not known.
+    /// `key = value` lines: a number without a unit is ambiguous.
     Lines,
     /// JSON of GenICam features: `ExposureTime` is in microseconds (SFNC 2.7, section 6.3), `Gain` in dB.
     Json,
 }
 
-/// Settings that all frames of a dataset share: words of headers, and the name that the dataset uses.
+/// Settings shared by all frames of a dataset: the name in the dataset and the words in headers.
 const SETTINGS: &[(&str, &[&str])] = &[
     ("GainRaw", &["gain", "gainraw", "cameragain", "camgain"]),
     ("ISO", &["iso", "isospeed", "isospeedratings", "isovalue"]),
@@ -60,7 +60,7 @@ const SETTINGS: &[(&str, &[&str])] = &[
     ("OffsetY", &["yorgsubf"]),
 ];
 
-/// Words for the number of exposures that were combined to one frame.
+/// Words for the number of exposures combined into one frame.
 const COMBINED: &[&str] = &[
     "ncombine",
     "stackcnt",
@@ -96,7 +96,7 @@ const COMBINED: &[&str] = &[
     "nsumexp",
 ];
 
-/// Words whose value says that it was done: `T`, `yes`, `On`, a file's name.
+/// Words whose value confirms a processing step: `T`, `yes`, `On`, a file name.
 const DONE: &[&str] = &[
     "combined",
     "stacked",
@@ -133,7 +133,7 @@ const DONE: &[&str] = &[
     "shadingcorrection",
 ];
 
-/// Returns true where such a value says no.
+/// Returns true if such a value is negative.
 fn is_no(value: &str) -> bool {
     matches!(
         value.trim().to_uppercase().as_str(),
@@ -141,7 +141,7 @@ fn is_no(value: &str) -> bool {
     )
 }
 
-/// Words for an exposure, the best first. Which one is taken does not depend on the order of a header.
+/// Words for an exposure, the best first. The choice does not depend on the order of a header.
 const EXPOSURES: &[&str] = &[
     "exptime",
     "exposure",
@@ -164,7 +164,7 @@ const EXPOSURES: &[&str] = &[
     "tiempodeexposicion",
 ];
 
-/// Words for the unit of the times of a header.
+/// Words for the unit of the times in a header.
 const UNITS: &[&str] = &[
     "timeunit",
     "timeunits",
@@ -196,13 +196,13 @@ pub(super) fn plain(key: &str) -> String {
     key.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
-/// Facts of named values, the same in whatever order they stand.
+/// Extracts facts from named values; the result does not depend on their order.
 pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
     said.sort();
     said.dedup();
     let mut out = Facts::default();
     exposure(&said, writer, &mut out);
-    // Place of the first pixel in the cell of the pattern, column and row.
+    // Position of the first pixel in the pattern cell, column and row.
     let mut first = [0, 0];
     for Said { key, value, comment } in &said {
         if value.is_empty() {
@@ -219,7 +219,7 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
             }
             "ccdtemp" | "temperaturec" | "dettemp" | "devicetemperature" | "sensortemperature"
             | "sensortemp" | "temperature" | "temp" => {
-                // A kelvin is said by its letter.
+                // The letter K marks kelvin.
                 let kelvin = values::number(value).1.eq_ignore_ascii_case("k");
                 let celsius = number.map(|n| if kelvin { n - 273.15 } else { n });
                 out.temperature_c = celsius.or(out.temperature_c);
@@ -263,7 +263,7 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
                 out.mosaic = pattern(value);
             }
             "biassec" if writer == Writer::Fits => out.bias_section = Some(value.clone()),
-            // The sections stand in the order of their keywords: TRIMSEC counts before DATASEC.
+            // The sections are sorted by keyword, so TRIMSEC overrides DATASEC.
             "datasec" | "trimsec" if writer == Writer::Fits => {
                 out.trim_section = Some((key.clone(), value.clone()));
             }
@@ -303,7 +303,7 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
         }
     }
     out.mosaic = out.mosaic.map(|pattern| shifted(&pattern, first));
-    // Zero is the exposure of a bias frame; of others it is not known.
+    // Zero is the exposure of a bias frame; for others it means unknown.
     out.zero_exposure = out.exposure_s == Some(0.0);
     if out.zero_exposure && !out.bias {
         out.exposure_s = None;
@@ -311,7 +311,7 @@ pub fn facts(mut said: Vec<Said>, writer: Writer) -> Facts {
     out
 }
 
-/// The colour pattern that a header states, also as a pixel format (`BayerRG12`); `None` of a monochrome
+/// Parses the colour pattern in a header, also as a pixel format (`BayerRG12`); `None` for a monochrome
 /// sensor.
 pub(super) fn pattern(value: &str) -> Option<String> {
     let upper = value.trim().to_uppercase();
@@ -321,7 +321,7 @@ pub(super) fn pattern(value: &str) -> Option<String> {
     PATTERNS.iter().find(named).map(ToString::to_string)
 }
 
-/// The pattern as it stands from this column and row on.
+/// Returns the pattern that begins at this column and row.
 pub(super) fn shifted(pattern: &str, [x, y]: [i64; 2]) -> String {
     let colours: Vec<char> = pattern.chars().collect();
     let [a, b, c, d] = colours[..] else { return pattern.into() };
@@ -359,7 +359,7 @@ fn setting(key: &str, word: &str, value: &str, comment: &str, writer: Writer, ou
         if ["e-/", "e/", "electron"].iter().any(|w| about.contains(w)) {
             return out.set_feature("EGAIN", &text, key);
         }
-        // ZWO counts tenths of a decibel.
+        // ZWO counts in tenths of a decibel.
         let tenths = ["0.1", "tenth", "/10"].iter().any(|w| about.contains(w));
         let in_comment = about.split(|c: char| !c.is_alphabetic()).any(|w| w == "db") && !tenths;
         let db = unit.eq_ignore_ascii_case("db") || in_comment;
@@ -390,7 +390,7 @@ fn setting(key: &str, word: &str, value: &str, comment: &str, writer: Writer, ou
         out.set_feature("BinningVertical", y, key);
         return;
     }
-    // Features of GenICam by their own names; the pixel format is compared by its bits.
+    // GenICam features keep their own names; the pixel format is compared by its bits.
     if writer != Writer::Fits && key != "PixelFormat" && is_setting(key) {
         return out.set_feature(key, &text, key);
     }
@@ -399,7 +399,7 @@ fn setting(key: &str, word: &str, value: &str, comment: &str, writer: Writer, ou
     }
 }
 
-/// The exposure: every card that tells one must tell the same.
+/// Extracts the exposure: all cards that state one must agree.
 fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
     let of_header = said.iter().find(|s| UNITS.contains(&&*plain(&s.key))).and_then(|s| seconds(&s.value));
     let mut found: Vec<(usize, f64, bool, String)> = Vec::new();
@@ -410,7 +410,7 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
         let text =
             if comment.is_empty() { format!("{key} {value}") } else { format!("{key} {value} ({comment})") };
         let unit = rest.trim_matches(|c: char| matches!(c, '[' | ']' | '(' | ')' | ' '));
-        // A shutter is open, closed or 1, unless it is a time.
+        // A shutter value means open, closed or 1, unless it is a time.
         let is_fraction = values::fraction(value).is_some();
         if word == "shutter" && unit.is_empty() && of_key.is_none() && !is_fraction {
             continue;
@@ -437,7 +437,7 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
         match (reading, unit_s) {
             (Reading::One(n), Some(unit_s)) if n >= 0.0 => {
                 let exposure_s = values::in_seconds(n, unit_s);
-                // No camera exposes for less than a tenth of a microsecond by accident: these are seconds.
+                // No camera exposes for so short a time by accident: the value is probably in seconds.
                 if genicam.is_some() && stated.is_none() && n > 0.0 && n < 1.0 {
                     out.doubts
                         .push(format!("exposure_s: {text} is {exposure_s} s as GenICam has it, or {n} s"));
@@ -452,7 +452,7 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
             _ => {}
         }
     }
-    // A line of text that names another unit speaks of these times, or of others.
+    // A text line that names another unit may refer to these times, or to others.
     let line = |s: &&Said| matches!(&*plain(&s.key), "comment" | "history") && tells_of_a_time(&s.value);
     let other = |s: &&Said| !matches!(values::unit_in(&s.value), Ok(None | Some(1.0)));
     if writer == Writer::Fits
@@ -466,7 +466,7 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
             said.value
         ));
     }
-    // Zero is known to be wrong where another card tells more.
+    // Zero is wrong if another card states more.
     if found.iter().any(|f| f.1 > 0.0) {
         found.retain(|f| f.1 > 0.0);
     }
@@ -482,7 +482,7 @@ fn exposure(said: &[Said], writer: Writer, out: &mut Facts) {
     }
 }
 
-/// The values of a description: a JSON object, or `key = value` lines.
+/// Parses a description: a JSON object, or `key = value` lines.
 pub fn of_description(text: &str) -> Facts {
     let text = text.trim_matches(|c: char| c.is_whitespace() || c == '\0');
     if text.starts_with('{')
@@ -492,13 +492,13 @@ pub fn of_description(text: &str) -> Facts {
         flatten(&json, "", &mut said);
         return facts(said, Writer::Json);
     }
-    // Semicolons part the pairs of a line.
+    // Semicolons separate the pairs of a line.
     let pairs = text.lines().flat_map(|line| line.split(';')).filter_map(|part| part.split_once(['=', ':']));
     facts(pairs.map(|(k, v)| Said::new(k, v.trim().trim_matches('\''))).collect(), Writer::Lines)
 }
 
-/// Values of a JSON object and of the objects in it, by their own names. A value with its unit
-/// (`{"value": 5, "unit": "ms"}`) is one.
+/// Flattens a JSON object and nested objects, by their own names. A value with its unit (`{"value": 5,
+/// "unit": "ms"}`) is kept together.
 fn flatten(json: &serde_json::Value, key: &str, out: &mut Vec<Said>) {
     match json {
         serde_json::Value::Object(inside) => {
@@ -506,7 +506,7 @@ fn flatten(json: &serde_json::Value, key: &str, out: &mut Vec<Said>) {
             let part = |names: &[&str]| {
                 inside.iter().find(|(k, _)| names.contains(&&*k.to_lowercase())).map(|(_, v)| text(v))
             };
-            // Micro-Manager 2 calls a value PropVal.
+            // Micro-Manager 2 stores a value as PropVal.
             if let Some(value) = part(&["value", "propval"]) {
                 let unit = part(&["unit", "units"]).unwrap_or_default();
                 out.push(Said::new(key, &format!("{value} {unit}")));
@@ -521,19 +521,19 @@ fn flatten(json: &serde_json::Value, key: &str, out: &mut Vec<Said>) {
     }
 }
 
-/// Facts of FITS cards.
+/// Extracts facts from FITS cards.
 pub fn of_cards(cards: Vec<super::cards::Card>) -> Facts {
     let said = cards.into_iter().map(|c| Said { key: c.key, value: c.value, comment: c.comment });
     facts(said.collect(), Writer::Fits)
 }
 
-/// Returns true if a line of a header speaks of exposures.
+/// Returns true if a header line mentions exposures.
 fn tells_of_a_time(line: &str) -> bool {
     let words = ["exposure", "exposures", "exptime", "exposed", "integration", "shutter", "times"];
     line.to_lowercase().split(|c: char| !c.is_alphabetic()).any(|word| words.contains(&word))
 }
 
-/// Returns true if a line of a header's history says that a dark, a bias or a flat was applied: `Auto-Dark
+/// Returns true if a history line of a header states that a dark, bias or flat was applied: `Auto-Dark
 /// Subtraction` of CCDSoft, `Bias Subtraction` of MaxIm DL, `flat fielded`.
 fn tells_of_a_correction(line: &str) -> bool {
     let line = line.to_lowercase();
@@ -543,7 +543,7 @@ fn tells_of_a_correction(line: &str) -> bool {
         && !line.split_whitespace().any(|w| w == "not" || w == "no")
 }
 
-/// Returns true if a line of a header's history says that several exposures were combined: `imcombine:
+/// Returns true if a history line of a header states that several exposures were combined: `imcombine:
 /// average of 8`, `Stacking result of 10 images`.
 fn tells_of_a_combination(line: &str) -> bool {
     const WORDS: [&str; 8] = [

@@ -1,4 +1,4 @@
-//! Frames, rows and manifest of a new dataset.
+//! Writer of a new dataset: frames, rows and manifest.
 
 use super::{ImportError, Map, pixel_format, pixels};
 use crate::dataset::{
@@ -6,11 +6,11 @@ use crate::dataset::{
 };
 use std::path::Path;
 
-/// Refuses a folder that has something in it.
+/// Refuses a folder that is not empty.
 ///
 /// # Errors
 ///
-/// Where the folder holds something.
+/// The folder is not empty.
 pub fn must_be_free(root: &Path) -> Result<(), ImportError> {
     if let Ok(found) = std::fs::symlink_metadata(root)
         && !found.is_dir()
@@ -24,12 +24,12 @@ pub fn must_be_free(root: &Path) -> Result<(), ImportError> {
     Ok(())
 }
 
-/// Copies the frames of a map into a new dataset folder, or makes hard links where `link` says so, and opens it.
-/// Where that fails what was copied is removed again.
+/// Copies the frames of a map into a new dataset folder, or hard-links them if `link`, and opens it. On
+/// failure the copied files are removed.
 ///
 /// # Errors
 ///
-/// Which file cannot be read or written, what the map leaves open, or that it was stopped.
+/// A file that cannot be read or written, a gap in the map, or a stop by the user.
 pub fn write(
     map: &Map,
     root: &Path,
@@ -52,7 +52,7 @@ pub fn write(
     outcome
 }
 
-/// Frames, rows, and last the manifest: what was broken off is no dataset.
+/// Writes frames, rows, and the manifest last: an interrupted import is not a dataset.
 fn fill(
     map: &Map,
     root: &Path,
@@ -87,7 +87,7 @@ fn fill(
                 illumination: set.illumination.unwrap_or(f64::from(u8::from(set.kind != Kind::Dark))),
                 configuration: set.configuration,
                 temperature_c: set.temperature_c,
-                // Seconds since 1970 are known to a quarter of a microsecond.
+                // Seconds since 1970 have a resolution of a quarter of a microsecond.
                 timestamp_s: set.times_s.as_ref().map(|t| (1e6 * (t[index] - start)).round() / 1e6),
             };
             rows.serialize(&row).map_err(|e| ImportError::Map(e.to_string()))?;

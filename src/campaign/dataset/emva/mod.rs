@@ -1,8 +1,10 @@
-//! The descriptor file of the EMVA 1288 reference tool, so that its datasets work as they are.
+//! Reader of the descriptor file of the EMVA 1288 reference tool, so that its datasets can be used
+//! unchanged.
 //!
-//! Lines: `v VERSION` (any), `n BITS WIDTH HEIGHT`, `b EXPOSURE PHOTONS` and `d EXPOSURE` begin a set (nanoseconds, or with a unit: `10ms`), as does
-//! `dc EXPOSURE`, darks for the dark current alone; `i FILE` adds a frame to it; `#` begins a comment. Photons are per pixel and exposure; here they become
-//! photons per pixel per second. Files may be written with backslashes.
+//! Lines: `v VERSION` (any), `n BITS WIDTH HEIGHT`; `b EXPOSURE PHOTONS` and `d EXPOSURE` begin a set
+//! (exposure in nanoseconds, or with a unit: `10ms`), and so does `dc EXPOSURE`, darks for the dark
+//! current only; `i FILE` adds a frame to the set; `#` begins a comment. Photons are per pixel and
+//! exposure; they are converted to photons per pixel per second. File names may contain backslashes.
 
 mod write;
 
@@ -24,7 +26,8 @@ pub fn open(path: &Path) -> Result<Dataset, DatasetError> {
     Dataset::new(root.into(), manifest, rows, path)
 }
 
-/// Longest side of a frame. A named choice, above the side of any sensor: headers that nothing confirms are refused.
+/// Maximum side of a frame. A named choice, above the side of any sensor: it rejects implausible
+/// headers.
 const LARGEST_SIDE_PX: usize = 65_535;
 
 type Parsed = (CameraInfo, Vec<(u64, FrameRow)>);
@@ -46,14 +49,14 @@ fn parse(text: &str) -> Result<Parsed, (u64, String)> {
                 .map_err(|_| fault(format!("\"{}\" is not a number", echo(word))))?;
             Ok(value)
         };
-        // Nanoseconds, as the standard's tool has it, unless a unit stands behind the number.
+        // Nanoseconds, as in the standard's tool, unless the number has a unit.
         let exposure = |word: &str| {
             let end = word.find(|c: char| c.is_alphabetic() && !matches!(c, 'e' | 'E')).unwrap_or(word.len());
             let unit_s = if end == word.len() { Some(1e-9) } else { seconds(&word[end..]) };
             let unit_s = unit_s.ok_or_else(|| fault(format!("\"{}\": write ns, us, ms or s", echo(word))))?;
             Ok(float(&word[..end])? * unit_s)
         };
-        // A bias frame has no exposure: as good as none is a nanosecond.
+        // A bias frame has no exposure; one nanosecond stands for zero.
         let mut begin = |kind, exposure_s: f64, photons: f64| {
             let exposure_s = if exposure_s == 0.0 { 1e-9 } else { exposure_s };
             let kind = if photons == 0.0 { Kind::Dark } else { kind };

@@ -1,4 +1,4 @@
-//! The descriptor file of the reference tool, for campaigns of ours.
+//! Writer of the descriptor file of the EMVA 1288 reference tool, for radcam campaigns.
 
 use crate::dataset::{Dataset, DatasetError, Kind, Set, write_whole};
 use std::collections::HashSet;
@@ -7,15 +7,16 @@ use std::path::PathBuf;
 /// Name of the descriptor inside a dataset.
 pub const DESCRIPTOR: &str = "EMVA1288_Data.txt";
 
-/// Writes the descriptor of a campaign, by which the reference tool and [`Dataset::open`] read its frames: pairs of flats with darks of their
-/// exposure, one stack of each, and lines `dc` with darks of other exposures, which the reference tool passes over. Without known photons they
-/// are counted in relative light times nanoseconds.
+/// Writes the descriptor of a campaign, with which the reference tool and [`Dataset::open`] read its
+/// frames: pairs of flats with darks of the same exposure, one stack of each, and `dc` lines with darks
+/// of other exposures, which the reference tool ignores. If photons are unknown, they are counted as
+/// relative light times nanoseconds.
 ///
-/// Returns None, and writes nothing, where the campaign has no such pairs.
+/// Returns None, and writes nothing, if the campaign has no such pairs.
 ///
 /// # Errors
 ///
-/// Where the file cannot be written.
+/// The file cannot be written.
 pub fn write_descriptor(dataset: &Dataset) -> Result<Option<PathBuf>, DatasetError> {
     let Some(text) = text(dataset) else { return Ok(None) };
     let path = dataset.root().join(DESCRIPTOR);
@@ -81,7 +82,7 @@ fn text(dataset: &Dataset) -> Option<String> {
             put(dark(set), set);
         }
     }
-    // One stack of each: the tool knows no more.
+    // One stack of each kind: the tool supports no more.
     let stack =
         of(Kind::Flat, more).find_map(|f| Some((f, of(Kind::Dark, more).find(|d| key(d) == key(f))?)));
     if let Some((flat, of_dark)) = stack {

@@ -1,6 +1,7 @@
-//! FITS: images, cubes, the one image extension, gzipped files, tile compression (FITS standard 4.0).
+//! FITS reader: images, cubes, a single image extension, gzipped files, tile compression (FITS standard
+//! 4.0).
 //!
-//! A reader of our own: docs/decisions/0006-our-own-fits-reader.md says why.
+//! docs/decisions/0006-our-own-fits-reader.md gives the reasons for an own reader.
 
 use super::fits_tiles::Tiles;
 use super::{Cards, FITS_RECORD, ImageError, Values, array, cards_of};
@@ -9,15 +10,15 @@ use std::io::{Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// How a gzipped file begins (RFC 1952).
+/// Magic bytes of a gzipped file (RFC 1952).
 pub(super) const GZIP: &[u8] = b"\x1f\x8b";
 
-/// A FITS file whose headers were read.
+/// FITS file with parsed headers.
 #[derive(Debug, Clone)]
 pub(super) struct Fits {
     data: Data,
     image: Image,
-    /// Header of the image, and behind it that of the file where the image lies in an extension.
+    /// Header of the image, followed by the primary header if the image is in an extension.
     pub(super) header: Vec<u8>,
 }
 
@@ -30,7 +31,7 @@ enum Data {
 pub(super) trait Bytes: Read + Seek {}
 impl<T: Read + Seek> Bytes for T {}
 
-/// Where the numbers of an image lie, and what they mean.
+/// Layout and coding of the image data.
 #[derive(Debug, Clone)]
 struct Image {
     at: u64,
@@ -41,7 +42,7 @@ struct Image {
     tiles: Option<Tiles>,
 }
 
-/// What the stored numbers mean (sections 4.4.2.5 and 5.3).
+/// Coding of the stored numbers (sections 4.4.2.5 and 5.3).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Coding {
     pub(super) bits: i64,
@@ -55,7 +56,7 @@ impl Coding {
         self.bits.unsigned_abs() as usize / 8
     }
 
-    /// One number from its bytes, scaled; NaN where the file says that there is none.
+    /// Decodes and scales one number; NaN if the file marks it as undefined.
     pub(super) fn value(&self, b: &[u8]) -> f64 {
         let raw = match (self.bits, b) {
             (8, &[a]) => f64::from(a),
@@ -73,7 +74,7 @@ impl Coding {
     }
 }
 
-/// Number of a card, or the default.
+/// Returns the number of a card, or the default.
 pub(super) fn number(cards: &Cards, keyword: &str, default: Option<f64>) -> Result<f64, ImageError> {
     match cards.get(keyword) {
         Some(text) => text.parse::<f64>().map_err(|_| ImageError::Fits(format!("{keyword} is {text}"))),
@@ -81,12 +82,12 @@ pub(super) fn number(cards: &Cards, keyword: &str, default: Option<f64>) -> Resu
     }
 }
 
-/// Text of a card without its quotes.
+/// Returns the text of a card without its quotes.
 pub(super) fn text<'a>(cards: &'a Cards, keyword: &str) -> Option<&'a str> {
     cards.get(keyword).map(|v| v.trim().trim_matches('\'').trim())
 }
 
-/// Axes of an image: `NAXIS` and `ZNAXIS` count them.
+/// Reads the axes of an image, counted by `NAXIS` or `ZNAXIS`.
 fn axes(cards: &Cards, prefix: &str) -> Result<Vec<usize>, ImageError> {
     let count = number(cards, &format!("{prefix}NAXIS"), None)?;
     if count.fract() != 0.0 || !(0.0..=9.0).contains(&count) {
@@ -101,7 +102,7 @@ fn axes(cards: &Cards, prefix: &str) -> Result<Vec<usize>, ImageError> {
     (1..=count as usize).map(axis).collect()
 }
 
-/// Bytes of the data of a header (equation 2), or `None` where it claims more than can be.
+/// Returns the data size of a header in bytes (equation 2), or `None` if it claims an impossible size.
 fn data_size(cards: &Cards, axes: &[usize]) -> Result<Option<u64>, ImageError> {
     let bits = number(cards, "BITPIX", None)?.abs();
     let (parameters, groups) = (number(cards, "PCOUNT", Some(0.0))?, number(cards, "GCOUNT", Some(1.0))?);
@@ -139,7 +140,7 @@ impl Fits {
         Self::of(Data::Unpacked(bytes.clone()), &mut Cursor::new(bytes.as_slice()))
     }
 
-    /// Walks the headers to the image: that of the file itself, or else its only extension with one.
+    /// Walks the headers to the image: the primary image, or else the only image extension.
     fn of(data: Data, file: &mut dyn Bytes) -> Result<Self, ImageError> {
         let size = file.seek(SeekFrom::End(0))?;
         let first = header(file, 0)?;
@@ -154,7 +155,7 @@ impl Fits {
         let mut found: Option<(Image, Vec<u8>)> = None;
         let mut tables = 0;
         while at < size {
-            // Behind the last extension anything may follow (section 3.5).
+            // Anything may follow the last extension (section 3.5).
             let Ok(bytes) = header(file, at) else { break };
             if !bytes.starts_with(b"XTENSION") {
                 break;
@@ -186,30 +187,30 @@ impl Fits {
             let tables = if tables > 0 { " but tables" } else { "" };
             return Err(ImageError::NotGrey(format!("a FITS without an image: it has nothing{tables}")));
         };
-        // Without its END, so that the header of the file follows.
+        // END is removed so that the primary header can be appended.
         let (_, end) = cards_of(&header)?;
         header.truncate(end_card(&header, end));
         header.extend(first);
         Ok(Self { data, image, header })
     }
 
-    /// Frames in it: planes of a cube.
+    /// Returns the number of frames: planes of a cube.
     pub(super) fn pages(&self) -> usize {
         self.image.planes
     }
 
-    /// True of a file whose own image is one frame, not packed.
+    /// Returns true if the primary image is a single uncompressed frame.
     pub(super) fn is_plain(&self) -> bool {
         let own = self.header.starts_with(b"SIMPLE") && self.image.tiles.is_none();
         own && self.image.planes == 1 && matches!(self.data, Data::File(_))
     }
 
-    /// Bits of a number as it is stored.
+    /// Returns the bits per stored number.
     pub(super) fn bits(&self) -> u8 {
         self.image.coding.bits.unsigned_abs().min(64) as u8
     }
 
-    /// Numbers of one plane. Rows are kept in the order of the file.
+    /// Returns the numbers of one plane. Rows stay in file order.
     pub(super) fn values(&self, plane: usize) -> Result<Values, ImageError> {
         let image = &self.image;
         if plane >= image.planes {
@@ -232,16 +233,17 @@ impl Fits {
     }
 }
 
-/// Where the card END begins in a header that ends at `end`.
+/// Returns the position of the END card in a header that ends at `end`.
 fn end_card(header: &[u8], end: usize) -> usize {
     let records = header[..end.min(header.len())].chunks_exact(super::FITS_CARD);
     let found = records.enumerate().find(|(_, card)| card.starts_with(b"END     "));
     found.map_or(end, |(i, _)| i * super::FITS_CARD)
 }
 
-/// The records of a header.
+/// Reads the records of a header.
 fn header(file: &mut dyn Bytes, at: u64) -> Result<Vec<u8>, ImageError> {
-    /// A header has some thousand cards at most: 10,000 records of 36 are no header.
+    /// Maximum size of a header, bytes: headers have at most some thousand cards; 10,000 records of 36
+    /// cards are not a header.
     const MAX_HEADER_BYTES: usize = 10_000 * FITS_RECORD;
     file.seek(SeekFrom::Start(at))?;
     let mut out = Vec::new();
@@ -263,7 +265,7 @@ fn header(file: &mut dyn Bytes, at: u64) -> Result<Vec<u8>, ImageError> {
     Ok(out)
 }
 
-/// Width, height and planes of so many axes.
+/// Returns width, height and planes of an image with these axes.
 fn sizes(axes: &[usize]) -> Result<(usize, usize, usize), ImageError> {
     let [width, height, rest @ ..] = axes else {
         return Err(ImageError::NotGrey(format!("a FITS of {} axes", axes.len())));
@@ -305,7 +307,7 @@ fn image(cards: &Cards, axes: &[usize], at: u64, size: u64) -> Result<Image, Ima
     Ok(Image { at, width, height, planes, coding, tiles: None })
 }
 
-/// Refuses an image that is packed as no image is.
+/// Refuses an image with an implausible compression ratio.
 fn must_be_image(width: usize, height: usize, size: u64) -> Result<(), ImageError> {
     if super::is_packed_too_much(width as u64, height as u64, 8, size) {
         return Err(ImageError::Fits(super::too_much(width, height, size)));

@@ -1,5 +1,5 @@
-//! Tile-compressed images of FITS (FITS standard 4.0, section 10): RICE_1, GZIP_1, GZIP_2 and NOCOMPRESS, all
-//! without loss. What loses (quantised floating-point numbers, HCOMPRESS) is refused by its name.
+//! Tile-compressed FITS images (FITS standard 4.0, section 10): RICE_1, GZIP_1, GZIP_2 and NOCOMPRESS,
+//! all lossless. Lossy compression (quantised floating-point numbers, HCOMPRESS) is refused by name.
 
 use super::fits::{Bytes, Coding, number, text};
 use super::{Cards, ImageError};
@@ -7,29 +7,30 @@ use flate2::read::GzDecoder;
 use std::io::{Read, SeekFrom};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Number of tiles along the third axis, and the scaled numbers of their planes.
+/// Tile index along the third axis, and the scaled numbers of its planes.
 type Layer = (usize, Vec<f64>);
 
-/// Where the tiles of an image lie.
+/// Location of the tiles of an image.
 #[derive(Debug, Clone)]
 pub(super) struct Tiles {
     method: Method,
     /// Axes of the image and of a tile, the fastest first; three of each.
     axes: [usize; 3],
     tile: [usize; 3],
-    /// First byte of the table, bytes of a row, place of the descriptor in a row and the bytes of its numbers.
+    /// First byte of the table, bytes per row, position of the descriptor in a row and bytes of its
+    /// numbers.
     table_at: u64,
     row_bytes: usize,
     descriptor: (usize, usize),
     /// First byte of the heap and its end.
     heap: (u64, u64),
-    /// Planes that were unpacked last, by the number of their tiles along the third axis.
+    /// Planes decompressed last, by tile index along the third axis.
     unpacked: Arc<Mutex<Option<Layer>>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Method {
-    /// Numbers of a block, bytes of a number.
+    /// Numbers per block, bytes per number.
     Rice(usize, usize),
     Gzip {
         shuffled: bool,
@@ -37,14 +38,15 @@ enum Method {
     None,
 }
 
-/// A number of a card that counts.
+/// Returns the value of a card that is a count.
 fn count(cards: &Cards, keyword: &str, default: Option<f64>) -> Result<usize, ImageError> {
     let n = number(cards, keyword, default)?;
     let counts = n.fract() == 0.0 && (0.0..1e12).contains(&n);
     if counts { Ok(n as usize) } else { Err(ImageError::Fits(format!("{keyword} is {n}"))) }
 }
 
-/// Bytes of a column of a binary table (table 18 of the standard); `None` of an unknown letter.
+/// Returns the bytes of a column of a binary table (table 18 of the standard); `None` for an unknown
+/// letter.
 fn column_bytes(form: &str) -> Option<usize> {
     let letter_at = form.find(|c: char| c.is_ascii_alphabetic())?;
     let repeat: usize = if letter_at == 0 { 1 } else { form[..letter_at].parse().ok()? };
@@ -150,7 +152,7 @@ impl Tiles {
         })
     }
 
-    /// Scaled numbers of one plane.
+    /// Returns the scaled numbers of one plane.
     pub(super) fn plane(
         &self,
         file: &mut dyn Bytes,
@@ -159,7 +161,7 @@ impl Tiles {
     ) -> Result<Vec<f64>, ImageError> {
         let (layer, pixels) = (plane / self.tile[2], self.axes[0] * self.axes[1]);
         let from = plane % self.tile[2] * pixels;
-        // Tiles that reach over several planes are unpacked once, not once for each plane.
+        // A tile that spans several planes is decompressed once, not once per plane.
         let mut kept = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, numbers)) = kept.as_ref().filter(|(of, _)| *of == layer) {
             return Ok(numbers[from..from + pixels].to_vec());
@@ -170,7 +172,7 @@ impl Tiles {
         Ok(out)
     }
 
-    /// Scaled numbers of the planes over which one tile reaches.
+    /// Returns the scaled numbers of the planes that one tile spans.
     fn layer(&self, file: &mut dyn Bytes, layer: usize, coding: &Coding) -> Result<Vec<f64>, ImageError> {
         let [width, height, planes] = self.axes;
         let across: Vec<usize> = self.tile.iter().zip(self.axes).map(|(t, n)| n.div_ceil(*t)).collect();
@@ -192,7 +194,7 @@ impl Tiles {
         Ok(out)
     }
 
-    /// Planes over which one tile reaches.
+    /// Returns the number of planes that one tile spans.
     pub(super) fn depth(&self) -> usize {
         self.tile[2]
     }
@@ -216,7 +218,7 @@ impl Tiles {
         Ok(bytes)
     }
 
-    /// Scaled numbers of a tile; `None` where its bytes do not hold so many.
+    /// Decompresses a tile into scaled numbers; `None` if its bytes do not hold that many.
     fn unpacked_tile(&self, bytes: &[u8], pixels: usize, coding: &Coding) -> Option<Vec<f64>> {
         let each = coding.bytes_each();
         let bytes = match self.method {
@@ -225,12 +227,12 @@ impl Tiles {
                 return Some(numbers.into_iter().map(|n| coding.scaled(n.into())).collect());
             }
             Method::Gzip { shuffled } => {
-                // One byte more than the tile has tells of a tile that is too long.
+                // Reading one byte more than the tile size reveals a tile that is too long.
                 let most = (pixels * each) as u64 + 1;
                 let mut out = Vec::new();
                 GzDecoder::new(bytes).take(most).read_to_end(&mut out).ok()?;
                 let apart = |out: Vec<u8>| {
-                    // The first bytes of all numbers, then the second ones, and so on.
+                    // GZIP_2 stores the first bytes of all numbers, then the second bytes, and so on.
                     let part = |i: usize| out[i % each * pixels + i / each];
                     (0..pixels * each).map(part).collect()
                 };
@@ -242,7 +244,7 @@ impl Tiles {
     }
 }
 
-/// Bits of a byte stream, the highest first.
+/// Bit reader, most significant bit first.
 struct Bits<'a> {
     bytes: std::slice::Iter<'a, u8>,
     held: u64,
@@ -259,7 +261,7 @@ impl Bits<'_> {
         Some((self.held >> self.have & ((1 << n) - 1)) as u32)
     }
 
-    /// Zeros before the next one.
+    /// Counts zeros before the next one bit.
     fn zeros(&mut self) -> Option<u32> {
         let mut n = 0;
         while self.take(1)? == 0 {
@@ -269,8 +271,8 @@ impl Bits<'_> {
     }
 }
 
-/// Numbers of a tile compressed after Rice (section 10.4.1): blocks of differences, each with its own number of
-/// low bits. Numbers of 1 byte are unsigned, those of 2 and 4 signed, as BITPIX has them.
+/// Decodes a Rice-compressed tile (section 10.4.1): blocks of differences, each with its own number of
+/// low bits. Numbers of 1 byte are unsigned, those of 2 and 4 are signed, as BITPIX defines them.
 fn rice(bytes: &[u8], pixels: usize, block: usize, width: usize) -> Option<Vec<i32>> {
     let (split_bits, most) = match width {
         1 => (3, 6),
@@ -280,7 +282,8 @@ fn rice(bytes: &[u8], pixels: usize, block: usize, width: usize) -> Option<Vec<i
     let bits = 8 * width as u32;
     let mut stream = Bits { bytes: bytes.iter(), held: 0, have: 0 };
     let mut last = stream.take(bits)?;
-    // A pixel takes some bits at least, but for blocks of equal ones: memory follows what is there.
+    // A pixel takes at least some bits, except in blocks of equal pixels: memory is bounded by the
+    // actual bytes.
     let mut out = Vec::with_capacity(pixels.min(bytes.len() * 8 * block));
     while out.len() < pixels {
         let split = stream.take(split_bits)?;
@@ -293,7 +296,7 @@ fn rice(bytes: &[u8], pixels: usize, block: usize, width: usize) -> Option<Vec<i
                     high.checked_shl(s - 1)? | stream.take(s - 1)?
                 }
             };
-            // Even numbers are differences upwards, odd ones downwards.
+            // Even numbers are positive differences, odd ones negative.
             let step = if difference & 1 == 1 { !(difference >> 1) } else { difference >> 1 };
             last = last.wrapping_add(step);
             out.push(match width {

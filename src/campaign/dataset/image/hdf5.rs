@@ -1,4 +1,5 @@
-//! HDF5: stacks of frames in NeXus, DataExchange and plain files. The crate `hdf5-reader` decodes.
+//! HDF5 reader: stacks of frames in NeXus, DataExchange and plain files. The crate `hdf5-reader`
+//! decodes.
 
 use super::{ImageError, Stack, Values};
 use hdf5_reader::error::Error;
@@ -12,23 +13,22 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Deflate packs at most about a thousand to one (RFC 1951): bytes of all frames that a file can hold for
-/// each of its own.
+/// Maximum compression ratio: deflate reaches about 1000:1 (RFC 1951).
 const MAX_PACKING: u64 = 1100;
-/// Least width and height of a dataset that is taken for frames without being named: tables and vectors of axes
-/// are narrower.
+/// Minimum width and height of a dataset that is taken for frames without being named: tables and axis
+/// vectors are narrower.
 const MIN_SIDE_PX: u64 = 8;
-/// Memory for decoded chunks: one of many frames is not decoded once for each of them.
+/// Memory for decoded chunks: a chunk of many frames is decoded once, not once per frame.
 const CHUNK_CACHE_BYTES: usize = 256 << 20;
-/// Groups that are looked at.
+/// Maximum number of groups visited.
 const MAX_GROUPS: usize = 10_000;
-/// Depth of groups that is looked at.
+/// Maximum depth of groups visited.
 const MAX_DEPTH: usize = 32;
-/// Datasets that a message lists.
+/// Maximum number of datasets listed in a message.
 const MAX_LISTED: usize = 12;
-/// LZF, the packing of h5py's own (registered filters of the HDF Group).
+/// Filter id of LZF, the compression of h5py (registered filters of the HDF Group).
 const LZF: u16 = 32_000;
-/// Further registered filters, by their names in messages.
+/// Other registered filters, with their names for messages.
 const FILTERS: [(&str, &str); 8] = [
     ("32001", "Blosc"),
     ("32004", "LZ4"),
@@ -40,7 +40,7 @@ const FILTERS: [(&str, &str); 8] = [
     ("307", "bzip2"),
 ];
 
-/// An HDF5 file and the datasets of it that are frames.
+/// HDF5 file and its datasets of frames.
 pub(super) struct Hdf5 {
     parts: Vec<Part>,
 }
@@ -54,7 +54,7 @@ impl std::fmt::Debug for Hdf5 {
 /// One dataset of frames.
 struct Part {
     dataset: Dataset,
-    /// Axis that counts the frames of three.
+    /// Axis that counts the frames, of three axes.
     axis: Option<usize>,
     bytes_each: u8,
     stack: Stack,
@@ -64,11 +64,11 @@ struct Part {
 struct Candidate {
     dataset: Dataset,
     paths: Vec<String>,
-    /// NeXus says that it is the signal.
+    /// True if NeXus marks the dataset as the signal.
     is_signal: bool,
 }
 
-/// A group with the names of its members.
+/// Group with the names of its members.
 struct Node {
     path: String,
     group: Group,
@@ -77,14 +77,14 @@ struct Node {
     signal: String,
 }
 
-/// Everything that a file holds.
+/// Contents of a file.
 struct Tree {
     nodes: Vec<Node>,
-    /// Parts that cannot be read, in words.
+    /// Descriptions of unreadable parts.
     faults: Vec<String>,
 }
 
-/// Words of an error of the decoder.
+/// Describes an error of the decoder.
 fn words(error: &Error) -> String {
     match error {
         Error::UnexpectedEof { .. } | Error::OffsetOutOfBounds(_) => {
@@ -141,10 +141,10 @@ fn lzf(data: &[u8]) -> Result<Vec<u8>, Error> {
 }
 
 impl Hdf5 {
-    /// Finds the frames. `choice` is the path of the dataset to be taken, `axis` the one that counts the
-    /// frames of three.
+    /// Finds the frames. `choice` is the path of the dataset to read, `axis` the axis that counts the
+    /// frames, of three axes.
     pub(super) fn open(path: &Path, choice: Option<&str>, axis: Option<usize>) -> Result<Self, ImageError> {
-        // A file that another program cuts off while it is mapped would end radcam.
+        // No memory mapping: if another program truncated a mapped file, radcam would crash.
         let storage = FileStorage::from_file(crate::input::open(path)?).map_err(|e| fault(&e))?;
         let bytes = std::fs::metadata(path)?.len();
         let most = bytes.saturating_mul(MAX_PACKING).saturating_add(1 << 16);
@@ -180,7 +180,7 @@ impl Hdf5 {
         self.parts.iter().map(|p| &p.stack)
     }
 
-    /// Bits of a number as it is stored.
+    /// Returns the bits per stored number.
     pub(super) fn bits(&self) -> u8 {
         self.parts.iter().map(|p| 8 * p.bytes_each).max().unwrap_or(16)
     }
@@ -191,7 +191,7 @@ impl Hdf5 {
         Ok((part, page - part.stack.first))
     }
 
-    /// True of values that are nothing but the fill value of chunks: a frame that was never written.
+    /// Returns true if all values are the fill value of chunks: a frame that was never written.
     pub(super) fn is_blank(&self, page: usize, values: &Values) -> bool {
         let Ok((part, _)) = self.part(page) else { return false };
         let zero = match values {
@@ -256,12 +256,12 @@ macro_rules! of_type {
     };
 }
 
-/// Bytes of a number, or `None` of a type that is no plain number.
+/// Returns the bytes per number, or `None` for a type that is not a plain number.
 fn bytes_each(dtype: &Datatype) -> Option<u8> {
     of_type!(dtype, T => Some(size_of::<T>() as u8), else None)
 }
 
-/// Sizes without axes of length 1 behind the columns, as some programs write one channel.
+/// Returns the sizes without trailing axes of length 1, which some programs write for a single channel.
 fn sizes(dataset: &Dataset) -> &[u64] {
     let mut shape = dataset.shape();
     while let [.., _, _, 1] = shape {
@@ -311,7 +311,7 @@ impl Part {
     }
 }
 
-/// Text of a scalar attribute.
+/// Returns the text of a scalar attribute.
 fn attribute_text(attribute: &Attribute) -> Option<String> {
     if attribute.num_elements().ok()? != 1 {
         return None;
@@ -320,13 +320,13 @@ fn attribute_text(attribute: &Attribute) -> Option<String> {
     number.or_else(|| attribute.read_string().ok()).map(|t| t.trim_matches('\0').trim().to_string())
 }
 
-/// True of a name whose values count frame by frame: exposures and temperatures.
+/// Returns true for a name whose values count frame by frame: exposures and temperatures.
 fn is_of_frames(name: &str) -> bool {
     let lower = name.to_lowercase();
     ["time", "expos", "temp"].iter().any(|part| lower.contains(part))
 }
 
-/// Numbers of an attribute.
+/// Returns the numbers of an attribute.
 #[allow(clippy::unnecessary_cast)] // one of the types is f64
 fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
     of_type!(
@@ -336,22 +336,22 @@ fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
     )
 }
 
-/// Text of an attribute of this name.
+/// Returns the text of the attribute with this name.
 fn text_of(attributes: &[Attribute], name: &str) -> String {
     attributes.iter().find(|a| a.name == name).and_then(attribute_text).unwrap_or_default()
 }
 
-/// Unit that stands with a dataset.
+/// Returns the unit of a dataset.
 fn unit_of(dataset: &Dataset) -> String {
     let attributes = dataset.attributes();
     let found = ["units", "unit"].into_iter().map(|name| text_of(&attributes, name));
     found.into_iter().find(|text| !text.is_empty()).unwrap_or_default()
 }
 
-/// Numbers of a dataset of one axis or none.
+/// Returns the numbers of a dataset with one axis or none.
 #[allow(clippy::unnecessary_cast)] // one of the types is f64
 fn numbers(dataset: &Dataset) -> Option<Vec<f64>> {
-    /// Numbers that one value of each frame has at most.
+    /// Maximum number of values, one per frame.
     const MAX_NUMBERS: u64 = 1 << 24;
     if dataset.ndim() > 1 || dataset.num_elements().ok()? > MAX_NUMBERS {
         return None;
@@ -363,7 +363,7 @@ fn numbers(dataset: &Dataset) -> Option<Vec<f64>> {
     )
 }
 
-/// True of a name that says what its frames show.
+/// Returns true for a name that states the kind of frame.
 fn names_a_kind(path: &str) -> bool {
     let name = path.rsplit('/').next().unwrap_or(path).to_lowercase();
     let mut words = name.split(|c: char| !c.is_alphabetic());
@@ -379,13 +379,13 @@ fn parent(path: &str) -> &str {
 }
 
 impl Tree {
-    /// Walks the groups. One that is damaged is passed over, and said where no frames are found.
+    /// Walks the groups. Damaged groups are skipped, and reported if no frames are found.
     fn of(root: Group) -> Self {
         let mut out = Self { nodes: Vec::new(), faults: Vec::new() };
         let mut seen = BTreeSet::new();
         let mut next = vec![(String::new(), root, 0)];
         while let Some((path, group, depth)) = next.pop() {
-            // A link may lead back.
+            // Links may form a loop.
             if !seen.insert(group.address()) || out.nodes.len() == MAX_GROUPS {
                 continue;
             }
@@ -396,7 +396,7 @@ impl Tree {
                     continue;
                 }
             };
-            // The order of a file's members says nothing. The last one pushed is looked at first.
+            // The member order of a file is meaningless. The last group pushed is visited first.
             groups.sort_by(|a, b| b.cmp(a));
             for name in groups.into_iter().filter(|_| depth < MAX_DEPTH) {
                 match group.group(&name) {
@@ -412,7 +412,7 @@ impl Tree {
         out
     }
 
-    /// Datasets that may be frames, each once under all its names; of any size where `any_size`.
+    /// Lists datasets that may be frames, each once with all its names; of any size if `any_size`.
     fn candidates(&self, any_size: bool) -> Vec<Candidate> {
         let mut found: BTreeMap<u64, Candidate> = BTreeMap::new();
         for node in &self.nodes {
@@ -442,7 +442,8 @@ impl Tree {
         out
     }
 
-    /// The datasets that are frames: the chosen one, the signal of NeXus, the only one, or all that say a kind.
+    /// Chooses the frame datasets: the named one, the NeXus signal, the only one, or all whose names
+    /// state a kind.
     fn choose(&self, all: &mut Vec<Candidate>, choice: Option<&str>) -> Result<Vec<Candidate>, ImageError> {
         let listed = |all: &[Candidate]| {
             let shape = |c: &Candidate| {
@@ -489,7 +490,7 @@ impl Tree {
         if all.iter().all(says) {
             return Ok(std::mem::take(all));
         }
-        // DataExchange keeps the projections as data, and beside them data_white and data_dark.
+        // DataExchange stores the projections as data, next to data_white and data_dark.
         let exchange = |c: &Candidate| c.paths.iter().any(|p| parent(p).ends_with("exchange"));
         let projections = |c: &Candidate| c.paths.iter().any(|p| p.ends_with("exchange/data"));
         if all.iter().all(exchange) && all.iter().all(|c| says(c) || projections(c)) {
@@ -502,7 +503,7 @@ impl Tree {
         )))
     }
 
-    /// A dataset with what stands beside it.
+    /// Builds a part from a dataset and the values stored with it.
     fn part(
         &self,
         candidate: Candidate,
@@ -540,8 +541,8 @@ impl Tree {
         Ok(Part { dataset, axis, bytes_each: each, stack })
     }
 
-    /// Image keys, and the values of the dataset, of the groups above it, and of detectors: one for all frames,
-    /// one for each, or one for each place on the outer axis.
+    /// Reads image keys and the values of the dataset, of its parent groups and of detectors: one for
+    /// all frames, one per frame, or one per place on the outer axis.
     fn describe(&self, dataset: &Dataset, outer: usize, stack: &mut Stack) -> Result<(), ImageError> {
         let paths = stack.paths.clone();
         let above = |node: &Node| paths.iter().any(|p| p.starts_with(&format!("{}/", node.path)));

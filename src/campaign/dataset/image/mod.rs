@@ -1,4 +1,4 @@
-//! Grey images: TIFF (any page), PNG, FITS and HDF5 in; TIFF of 8 or 16 bits out.
+//! Grey images: reads TIFF (any page), PNG, FITS and HDF5; writes TIFF of 8 or 16 bits.
 
 mod fits;
 mod fits_tiles;
@@ -14,94 +14,94 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use tiff::encoder::{TiffEncoder, colortype};
 
-/// Why an image cannot be read or written.
+/// Errors of reading or writing an image.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImageError {
-    /// The file system refused.
+    /// Error of the file system.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// Not a sound TIFF.
+    /// Damaged TIFF.
     #[error("not a sound TIFF: {}", tiff_words(.0))]
     Tiff(#[from] tiff::TiffError),
-    /// Not a sound PNG.
+    /// Damaged PNG.
     #[error("not a sound PNG: {0}")]
     Png(#[from] png::DecodingError),
-    /// Not a sound FITS.
+    /// Damaged FITS.
     #[error("not a sound FITS: {0}")]
     Fits(String),
-    /// Not a sound HDF5.
+    /// Damaged HDF5.
     #[error("not a sound HDF5 (NeXus): {0}")]
     Hdf5(String),
-    /// Sound, but not a grey image of unsigned 8 or 16 bits.
+    /// Valid, but not a grey image of unsigned 8 or 16 bits.
     #[error("is {0}; frames are grey, with 8 or 16 unsigned bits")]
     NotGrey(String),
-    /// Frames that cannot be told, or of a kind that radcam does not read; with what to do.
+    /// Frames that cannot be identified, or a format that radcam does not read; with advice.
     #[error("is {0}")]
     NoFrames(String),
-    /// Sound and grey, but with values that are no codes: value, row, column.
+    /// Valid and grey, but with values that are not codes: value, row, column.
     #[error(
         "holds {0} at row {1}, column {2}, and codes are whole numbers from 0 to 65535; `radcam import` finds their step"
     )]
     NotCodes(f64, usize, usize),
-    /// A page that the file has not.
+    /// Page number that the file does not have.
     #[error("has no page {0} (pages count from 0)")]
     NoPage(usize),
-    /// A stack where one frame is asked for.
+    /// Stack, where a single frame is expected.
     #[error("is a stack of {0} pages or more, and one frame is asked for; `radcam import` takes stacks")]
     Stack(usize),
 }
 
-/// How a JPEG begins.
+/// Magic bytes of a JPEG.
 pub(crate) const JPEG: &[u8] = b"\xff\xd8\xff";
 /// First bytes of a NumPy array.
 pub(crate) const NUMPY: &[u8] = b"\x93NUMPY";
 /// Reason that a NumPy array is refused.
 const NO_NUMPY: &str =
     "a NumPy array, which `radcam import` takes; other verbs take frames as TIFF, PNG, FITS or HDF5";
-/// Why it is no frame.
+/// Reason that a JPEG is refused.
 pub(crate) const NO_JPEG: &str = "a JPEG, whose codes are not those of the camera";
 
 /// Extensions of camera raw files.
 const CAMERA_RAWS: [&str; 12] =
     ["cr2", "cr3", "crw", "nef", "nrw", "arw", "orf", "rw2", "raf", "pef", "srw", "3fr"];
-/// Advice on camera raw files: LibRaw's program keeps every code and the masked borders.
+/// Advice on camera raw files: LibRaw's program preserves every code and the masked borders.
 pub(crate) const CAMERA_RAW: &str = "a camera raw file, which radcam does not read; `unprocessed_raw -T FILE` of LibRaw (or `dcraw -D -4 -T FILE`) writes its codes \
      as TIFF";
 
-/// True of a name that is a camera raw file's.
+/// Returns true for the name of a camera raw file.
 pub(crate) fn is_camera_raw(path: &Path) -> bool {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     CAMERA_RAWS.contains(&&*extension)
 }
 
-/// How an HDF5 file begins.
+/// Magic bytes of HDF5.
 pub(crate) const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// Reason of a radcam without the feature.
+/// Reason that HDF5 is refused by a build without the feature.
 #[cfg(not(feature = "hdf5"))]
 const NO_HDF5: &str = "an HDF5 (NeXus) file, and this radcam was built without the feature hdf5; save its frames as TIFF or NumPy \
                        array";
 
-/// One dataset of frames of an HDF5 file, and the values that stand with it.
+/// Dataset of frames of an HDF5 file, with its metadata.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Stack {
     /// Names of the dataset in the file.
     pub(crate) paths: Vec<String>,
     /// Page of the first frame.
     pub(crate) first: usize,
-    /// Frames.
+    /// Number of frames.
     pub(crate) frames: usize,
     /// Image keys of the frames (NXtomo): 0 projection, 1 flat, 2 dark, 3 invalid; empty where there are none.
     pub(crate) keys: Vec<i64>,
-    /// Named values of all frames, with their units.
+    /// Named values of all frames, with units.
     pub(crate) said: Vec<(String, String)>,
     /// Named values, one for each frame.
     pub(crate) of_frames: Vec<(String, Vec<String>)>,
 }
 
 impl Stack {
-    /// Values of each frame, from one for each or one for each of the places on an outer axis; `None` of other
-    /// numbers of values.
+    /// Expands values to one per frame, from one per frame or one per place on an outer axis; `None` for
+    /// other counts.
     #[cfg(feature = "hdf5")]
     fn each(&self, values: Vec<f64>, outer: usize) -> Option<Vec<f64>> {
         let n = values.len();
@@ -110,13 +110,13 @@ impl Stack {
         fits.then(|| values.into_iter().flat_map(|v| std::iter::repeat_n(v, repeated)).collect())
     }
 
-    /// First name of the dataset.
+    /// Returns the first name of the dataset.
     pub(crate) fn path(&self) -> &str {
         self.paths.first().map_or("", String::as_str)
     }
 }
 
-/// What is wrong with a TIFF; of one that ends too early, that.
+/// Describes a TIFF error; a truncated file is reported as such.
 pub(crate) fn tiff_words(error: &tiff::TiffError) -> String {
     match error {
         tiff::TiffError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => {
@@ -129,7 +129,7 @@ pub(crate) fn tiff_words(error: &tiff::TiffError) -> String {
     }
 }
 
-/// Memory for a frame that serves again: asking the system for a new page costs more than filling it.
+/// Recycled frame buffer: faulting in new pages costs more than filling them.
 #[derive(Debug, Default)]
 pub struct Buffer {
     dn: Vec<u16>,
@@ -139,23 +139,23 @@ pub struct Buffer {
 }
 
 impl Buffer {
-    /// The codes, row by row, DN.
+    /// Returns the codes, row by row, DN.
     pub fn dn(&self) -> &[u16] {
         &self.dn
     }
 
-    /// Rows and columns.
+    /// Returns rows and columns.
     pub fn shape(&self) -> (usize, usize) {
         self.shape
     }
 
-    /// As (rows, columns).
+    /// Converts to an array of (rows, columns).
     pub fn into_array(self) -> Array2<u16> {
-        // Every reader leaves as many codes as its shape says.
+        // Every reader leaves exactly as many codes as the shape needs.
         Array2::from_shape_vec(self.shape, self.dn).unwrap_or_default()
     }
 
-    /// Keeps some rows and columns. Nothing happens where the image does not have them.
+    /// Crops to these rows and columns. Does nothing if the image does not have them.
     pub fn crop(&mut self, rows: &std::ops::Range<usize>, columns: &std::ops::Range<usize>) {
         let (height, width) = self.shape;
         if rows.end > height || columns.end > width || self.dn.len() != height * width {
@@ -179,7 +179,7 @@ impl Buffer {
         let mut at = 0;
         for row in (usize::from(y)..rows).step_by(2) {
             for column in (usize::from(x)..columns).step_by(2) {
-                // Never behind the place that is read.
+                // `at` never overtakes the read position.
                 self.dn[at] = self.dn[row * columns + column];
                 at += 1;
             }
@@ -195,7 +195,7 @@ impl Buffer {
     }
 }
 
-/// Pixel values of one frame as its file has them.
+/// Pixel values of one frame as stored in its file.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Values {
     /// Codes that fit into 16 bits.
@@ -205,7 +205,7 @@ pub enum Values {
 }
 
 impl Values {
-    /// The same as codes, where all are whole and fit into 16 bits.
+    /// Converts to codes if all values are whole and fit into 16 bits.
     #[must_use]
     pub fn as_codes(self) -> Self {
         match self {
@@ -214,7 +214,7 @@ impl Values {
         }
     }
 
-    /// Some rows and columns, which must be there.
+    /// Returns these rows and columns. They must exist.
     #[must_use]
     pub fn region(self, rows: std::ops::Range<usize>, columns: std::ops::Range<usize>) -> Self {
         match self {
@@ -223,7 +223,7 @@ impl Values {
         }
     }
 
-    /// Mean of all pixels.
+    /// Returns the mean of all pixels.
     pub fn mean(&self) -> f64 {
         match self {
             Self::Codes(codes) => {
@@ -238,42 +238,44 @@ fn is_code(v: &f64) -> bool {
     (0.0..=65_535.0).contains(v) && v.fract() == 0.0
 }
 
-/// Reads one page as (rows, columns) of DN. The kind of file is told by its first bytes, not by its name.
+/// Reads one page as (rows, columns) of DN. The format is determined by magic bytes, not by the file
+/// name.
 ///
-/// Of a long stack many pages are read from one [`Images`].
+/// For many pages of a long stack use one [`Images`].
 ///
 /// # Errors
 ///
-/// Where the file cannot be read or has no such page, or its pixels are no codes of up to 16 bits.
+/// The file cannot be read or has no such page, or its pixels are not codes of up to 16 bits.
 pub fn read(path: &Path, page: usize) -> Result<Array2<u16>, ImageError> {
     let mut buffer = Buffer::default();
     Images::open(path)?.read_into(page, &mut buffer)?;
     Ok(buffer.into_array())
 }
 
-/// Reads a file that has one frame; of a stack nobody said which.
+/// Reads a file that has a single frame; a stack is refused, because no page is named.
 ///
 /// # Errors
 ///
-/// As [`read`], and where the file has several pages.
+/// As [`read`], and for a file with several pages.
 pub fn read_single(path: &Path) -> Result<Array2<u16>, ImageError> {
     let mut buffer = Buffer::default();
     read_into(path, None, &mut buffer)?;
     Ok(buffer.into_array())
 }
 
-/// Reads one page, or the only one, into memory that is there.
+/// Reads one page, or the only one, into a recycled buffer.
 ///
 /// # Errors
 ///
-/// As [`read`], and where no page is named and the file has several.
+/// As [`read`], and if no page is named and the file has several.
 pub fn read_into(path: &Path, page: Option<usize>, buffer: &mut Buffer) -> Result<(), ImageError> {
     let images = Images::open(path)?;
     let page = page.map_or_else(|| images.single(), Ok)?;
     images.read_into(page, buffer)
 }
 
-/// A file of frames whose structure is known: pages are read in any order without a walk through those before.
+/// Image file with known structure: pages are read in any order without a walk through the preceding
+/// ones.
 #[derive(Debug, Clone)]
 pub struct Images {
     path: PathBuf,
@@ -290,16 +292,16 @@ enum Container {
 }
 
 impl Images {
-    /// Reads what a file says of its structure.
+    /// Reads the structure of a file.
     ///
     /// # Errors
     ///
-    /// Where the file cannot be read, or is of no kind that radcam reads.
+    /// The file cannot be read, or has a format that radcam does not read.
     pub fn open(path: &Path) -> Result<Self, ImageError> {
         Self::open_with(path, None, None)
     }
 
-    /// The same; of an HDF5 file with the dataset that is chosen and the axis that counts its frames.
+    /// As `open`; for an HDF5 file with the chosen dataset and the axis that counts its frames.
     pub(crate) fn open_with(
         path: &Path,
         dataset: Option<&str>,
@@ -325,7 +327,7 @@ impl Images {
         Ok(Self { path: path.into(), kind })
     }
 
-    /// Numbers of the pages that are frames; thumbnails and masks are none.
+    /// Returns the numbers of the pages that are frames; thumbnails and masks are excluded.
     pub fn frames(&self) -> Vec<usize> {
         match &self.kind {
             Container::Tiff(directories) => directories.frames(),
@@ -336,7 +338,7 @@ impl Images {
         }
     }
 
-    /// Datasets of frames of an HDF5 file; none of others.
+    /// Returns the frame datasets of an HDF5 file; empty for other formats.
     pub(crate) fn stacks(&self) -> Vec<Stack> {
         match &self.kind {
             #[cfg(feature = "hdf5")]
@@ -345,7 +347,8 @@ impl Images {
         }
     }
 
-    /// True of a frame of an HDF5 file that was never written: its chunks hold nothing but the fill value.
+    /// Returns true for a frame of an HDF5 file that was never written: its chunks hold only the fill
+    /// value.
     pub(crate) fn is_blank(&self, page: usize, values: &Values) -> bool {
         match &self.kind {
             #[cfg(feature = "hdf5")]
@@ -357,12 +360,13 @@ impl Images {
         }
     }
 
-    /// True of a FITS with several planes.
+    /// Returns true for a FITS with several planes.
     pub(crate) fn is_cube(&self) -> bool {
         matches!(&self.kind, Container::Fits(fits) if fits.pages() > 1)
     }
 
-    /// True if every reader of datasets can read the file: TIFF and PNG, and FITS whose own image is one frame.
+    /// Returns true if every dataset reader can read the file: TIFF, PNG, and FITS with a primary image
+    /// of one frame.
     pub(crate) fn is_plain(&self) -> bool {
         match &self.kind {
             Container::Tiff(directories) => directories.is_plain(),
@@ -373,16 +377,16 @@ impl Images {
         }
     }
 
-    /// True if the pixels of a page lie under a colour filter and the file says so.
+    /// Returns true if the file marks the pixels of a page as a colour-filter mosaic.
     pub fn is_mosaic(&self, page: usize) -> bool {
         matches!(&self.kind, Container::Tiff(directories) if directories.is_mosaic(page))
     }
 
-    /// Bits of a pixel as the file keeps it, as [`stored_bits`] has them.
+    /// Returns the bits per pixel in the file, as [`stored_bits`].
     ///
     /// # Errors
     ///
-    /// Where the file cannot be read.
+    /// The file cannot be read.
     pub fn stored_bits(&self) -> Result<u8, ImageError> {
         match &self.kind {
             Container::Png => {
@@ -399,11 +403,11 @@ impl Images {
         }
     }
 
-    /// Values of one page as the file has them.
+    /// Reads the values of one page as stored.
     ///
     /// # Errors
     ///
-    /// Where there is no such page, or it cannot be read.
+    /// There is no such page, or it cannot be read.
     pub fn values(&self, page: usize) -> Result<Values, ImageError> {
         let mut buffer = Buffer::default();
         match self.fill(page, &mut buffer)? {
@@ -412,11 +416,11 @@ impl Images {
         }
     }
 
-    /// Codes of one page, into memory that is there.
+    /// Reads the codes of one page into a recycled buffer.
     ///
     /// # Errors
     ///
-    /// As [`values`](Self::values), and where the values are no codes of up to 16 bits.
+    /// As [`values`](Self::values), and if the values are not codes of up to 16 bits.
     pub fn read_into(&self, page: usize, buffer: &mut Buffer) -> Result<(), ImageError> {
         if let Some(values) = self.fill(page, buffer)? {
             buffer.set(narrowed(values)?);
@@ -424,7 +428,7 @@ impl Images {
         Ok(())
     }
 
-    /// The page of a file that has one frame.
+    /// Returns the page of a file that has a single frame.
     fn single(&self) -> Result<usize, ImageError> {
         match &self.kind {
             Container::Tiff(directories) => directories.single(&self.path),
@@ -435,7 +439,7 @@ impl Images {
         }
     }
 
-    /// Codes into the buffer; anything else is returned.
+    /// Reads codes into the buffer; returns any other values.
     fn fill(&self, page: usize, buffer: &mut Buffer) -> Result<Option<Values>, ImageError> {
         match &self.kind {
             Container::Tiff(directories) => directories.page(&self.path, page, buffer),
@@ -460,15 +464,16 @@ fn open_hdf5(_: &Path, _: Option<&str>, _: Option<usize>) -> Result<Container, I
     Err(ImageError::NoFrames(NO_HDF5.into()))
 }
 
-/// Files of frames that were opened: the structure of a stack is read once, not once a page.
+/// Cache of opened image files: the structure of a stack is read once, not once per page.
 #[derive(Debug, Default)]
 pub(crate) struct Opened(Mutex<Vec<Arc<Images>>>);
 
 impl Opened {
-    /// Stacks whose structure is kept: sets are read one after the other, on as many threads as there are cores.
+    /// Maximum number of cached stacks: sets are read in sequence, on as many threads as there are
+    /// cores.
     const MAX_FILES: usize = 64;
 
-    /// A stack, opened now or before.
+    /// Returns a stack from the cache, or opens it.
     pub(crate) fn stack(&self, path: &Path) -> Result<Arc<Images>, ImageError> {
         let mut kept = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if let Some(known) = kept.iter().find(|images| images.path == path) {
@@ -483,7 +488,7 @@ impl Opened {
     }
 }
 
-/// Values as codes.
+/// Converts values to codes.
 fn narrowed(values: Values) -> Result<Array2<u16>, ImageError> {
     let numbers = match values {
         Values::Codes(codes) => return Ok(codes),
@@ -495,37 +500,37 @@ fn narrowed(values: Values) -> Result<Array2<u16>, ImageError> {
     }
 }
 
-/// The decoder of a TIFF at its first directory, for its tags.
+/// Opens the TIFF decoder at the first directory, for its tags.
 pub(crate) fn tiff_head(path: &Path) -> Result<tiff_file::Tiff, ImageError> {
     tiff_directories(path)?.decoder(path, 0)
 }
 
-/// Directories of a TIFF file, each of which can be opened.
+/// Reads the directories of a TIFF file, each of which can be opened.
 pub(crate) fn tiff_directories(path: &Path) -> Result<tiff_file::Directories, ImageError> {
     tiff_file::Directories::read(path)
 }
 
-/// True of the first bytes of a FITS file, gzipped or not.
+/// Returns true for the magic bytes of a FITS file, gzipped or not.
 pub(crate) fn begins_as_fits(start: &[u8]) -> bool {
     start.starts_with(b"SIMPLE") || start.starts_with(fits::GZIP)
 }
 
-/// Bits of a pixel as the file keeps it, 8, 16 or 32: what a code can be at most.
+/// Returns the bits per pixel in the file, 8, 16 or 32: an upper limit for the bit depth.
 ///
 /// # Errors
 ///
-/// Where the file cannot be read.
+/// The file cannot be read.
 pub fn stored_bits(path: &Path) -> Result<u8, ImageError> {
     Images::open(path)?.stored_bits()
 }
 
-/// True of a frame that takes more memory than a packed file of this size may make; `each`: bytes of a pixel
-/// in memory.
+/// Returns true if a frame exceeds the memory that a compressed file of this size may unpack to; `each`:
+/// bytes per pixel in memory.
 fn is_packed_too_much(width: u64, height: u64, each: u64, size: u64) -> bool {
     width.saturating_mul(height).saturating_mul(each) > input::max_unpacked_bytes(size)
 }
 
-/// Reason of such a file.
+/// Describes the reason that such a file is refused.
 fn too_much(width: usize, height: usize, size: u64) -> String {
     format!(
         "{width} x {height} px in {size} bytes: large images are packed 64 to 1 at most; save as plain TIFF"
@@ -542,18 +547,20 @@ fn array<T>(width: usize, height: usize, pixels: Vec<T>) -> Result<Array2<T>, Im
         .map_err(|_| ImageError::NotGrey(format!("{width} x {height} px with {found} values")))
 }
 
-/// Size of a FITS record, bytes, and of a card in it (FITS standard 4.0, section 3.1 and 4.1).
+/// Size of a FITS record and of a card in it, bytes (FITS standard 4.0, sections 3.1 and 4.1).
 const FITS_RECORD: usize = 2880;
 const FITS_CARD: usize = 80;
 
 type Cards = std::collections::HashMap<String, String>;
 
-/// Text of a card: ASCII by the standard; programs write a micro sign as UTF-8 or as Latin-1.
+/// Decodes the text of a card: ASCII by the standard, but programs write a micro sign as UTF-8 or
+/// Latin-1.
 pub(crate) fn card_text(card: &[u8]) -> String {
     std::str::from_utf8(card).map_or_else(|_| card.iter().map(|b| char::from(*b)).collect(), String::from)
 }
 
-/// The cards of a FITS header that have a value, strings in their quotes, and where the header ends.
+/// Parses the cards of a FITS header that have a value, strings in their quotes; also returns the end of
+/// the header.
 fn cards_of(bytes: &[u8]) -> Result<(Cards, usize), ImageError> {
     let fault = |message: &str| ImageError::Fits(message.into());
     let mut values = Cards::new();
@@ -574,16 +581,17 @@ fn cards_of(bytes: &[u8]) -> Result<(Cards, usize), ImageError> {
     Err(fault("the header has no END"))
 }
 
-/// The header of a FITS file; of an image in an extension its own header and then that of the file.
+/// Reads the header of a FITS file; for an image in an extension its own header followed by the primary
+/// one.
 pub(crate) fn fits_header(path: &Path) -> Result<Vec<u8>, ImageError> {
     Ok(fits::Fits::open(path)?.header)
 }
 
-/// Writes a frame as an uncompressed TIFF, 8 bits deep where `bit_depth` is at most 8, else 16.
+/// Writes a frame as an uncompressed TIFF, 8 bits deep if `bit_depth` is at most 8, else 16.
 ///
 /// # Errors
 ///
-/// Where the output cannot be written.
+/// The output cannot be written.
 pub fn write_tiff<W: Write + Seek>(out: W, pixels: &Array2<u16>, bit_depth: u8) -> Result<(), ImageError> {
     let (height, width) = pixels.dim();
     let (width, height) = (width as u32, height as u32);
@@ -599,18 +607,18 @@ pub fn write_tiff<W: Write + Seek>(out: W, pixels: &Array2<u16>, bit_depth: u8) 
     Ok(())
 }
 
-/// The bytes of [`write_tiff`].
+/// Returns the bytes of [`write_tiff`].
 ///
 /// # Errors
 ///
-/// Where the output cannot be written.
+/// The output cannot be written.
 pub fn tiff_bytes(pixels: &Array2<u16>, bit_depth: u8) -> Result<Vec<u8>, ImageError> {
     let mut out = Cursor::new(Vec::with_capacity(pixels.len() * 2 + 1024));
     write_tiff(&mut out, pixels, bit_depth)?;
     Ok(out.into_inner())
 }
 
-/// A text as TIFF takes it, which knows ASCII only: what is beyond is written as JSON escapes it.
+/// Converts a text to ASCII, as TIFF requires: other characters are escaped as in JSON.
 pub(crate) fn ascii(text: &str) -> String {
     let escaped = |c: char| {
         let mut units = [0; 2];
@@ -619,11 +627,12 @@ pub(crate) fn ascii(text: &str) -> String {
     text.chars().map(|c| if c.is_ascii() { c.to_string() } else { escaped(c) }).collect()
 }
 
-/// The bytes of an uncompressed TIFF of one page, with an ImageDescription that says what the numbers mean.
+/// Returns the bytes of an uncompressed single-page TIFF with an ImageDescription that gives the meaning
+/// of the numbers.
 ///
 /// # Errors
 ///
-/// Where the output cannot be written.
+/// The output cannot be written.
 pub fn described_bytes<C: colortype::ColorType>(
     pixels: ArrayView2<'_, C::Inner>,
     description: &str,

@@ -1,4 +1,5 @@
-//! PNG: grey frames of 8 or 16 bits, row by row. Colour profiles and texts are skipped, not unpacked.
+//! PNG reader: grey frames of 8 or 16 bits, row by row. Colour profiles and texts are skipped, not
+//! decompressed.
 
 use super::{Buffer, ImageError, is_packed_too_much, too_much};
 use crate::input;
@@ -7,10 +8,10 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-/// A decoder that unpacks no profile; texts are kept as they stand in the file, those that are packed too.
+/// Opens a decoder that ignores colour profiles; texts stay as stored, also compressed ones.
 pub(crate) fn decoder(path: &Path) -> std::io::Result<Decoder<BufReader<File>>> {
     let mut decoder = Decoder::new(BufReader::with_capacity(1 << 16, input::open(path)?));
-    // A megabyte of profile unpacks to a gigabyte.
+    // A megabyte of compressed profile can expand to a gigabyte.
     decoder.set_ignore_iccp_chunk(true);
     Ok(decoder)
 }
@@ -28,7 +29,7 @@ pub(super) fn read(path: &Path, buffer: &mut Buffer) -> Result<(), ImageError> {
         return Err(ImageError::NotGrey(format!("a PNG of {colour:?}, {bits} bits each")));
     }
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
-    // Codes are kept in 16 bits.
+    // Codes take 16 bits in memory.
     if is_packed_too_much(width as u64, height as u64, 2, size) {
         return Err(ImageError::NoFrames(format!("a PNG of {}", too_much(width, height, size))));
     }
@@ -39,7 +40,7 @@ pub(super) fn read(path: &Path, buffer: &mut Buffer) -> Result<(), ImageError> {
         reader.next_frame(&mut buffer.bytes)?;
         put(&buffer.bytes, bits, &mut buffer.dn);
     } else {
-        // Memory grows with the rows that are there, not with those that the header claims.
+        // Memory grows with the rows read, not with the height claimed by the header.
         buffer.bytes.resize(row_bytes, 0);
         for _ in 0..height {
             reader.read_row(&mut buffer.bytes)?;

@@ -1,8 +1,8 @@
-//! TIFF: any page of a file, by an index of its directories.
+//! TIFF reader: any page of a file, with an index of its directories.
 //!
-//! The crate `tiff` decodes. It reaches page n by reading the n pages before it, so that a stack would take time
-//! with the square of its pages: the index finds the directories once, and the decoder is shown a file whose
-//! first directory is the one that is asked for.
+//! The crate `tiff` decodes. It reaches page n by reading the n preceding pages, so a stack would take
+//! quadratic time. Therefore the index finds all directories once, and the decoder is given a view of
+//! the file in which the requested directory comes first.
 
 use super::{Buffer, ImageError, Values, array};
 use std::collections::HashSet;
@@ -12,40 +12,41 @@ use std::path::Path;
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::tags::{ByteOrder, Tag};
 
-/// Directories of a TIFF file (TIFF 6.0, section 2; BigTIFF has the same with 8-byte numbers).
+/// Directory index of a TIFF file (TIFF 6.0, section 2; BigTIFF uses 8-byte numbers).
 #[derive(Debug, Clone)]
 pub(crate) struct Directories {
     big_endian: bool,
     big_tiff: bool,
-    /// Chain of the main directories, then those of SubIFDs.
+    /// Main directories in chain order, then those of SubIFDs.
     all: Vec<Directory>,
-    /// Main directories.
+    /// Number of main directories.
     main: usize,
-    /// Frames that follow the pixels of the only directory, as ImageJ writes large stacks; 1 of any other file.
+    /// Number of frames stored behind a single directory, as in large ImageJ stacks; 1 for any other
+    /// file.
     contiguous: usize,
 }
 
 #[derive(Debug, Clone, Default)]
 struct Directory {
     at: u64,
-    /// NewSubfileType has the bit of a reduced image or of a mask.
+    /// True if NewSubfileType marks a reduced image or a mask.
     reduced: bool,
-    /// Place of PhotometricInterpretation and its value.
+    /// Position and value of PhotometricInterpretation.
     photometric: Option<(u64, u16)>,
     sub: Vec<u64>,
-    /// Places and lengths of the ImageDescriptions.
+    /// Positions and lengths of the ImageDescriptions.
     descriptions: Vec<(u64, u64)>,
 }
 
-/// Longest description that is read, bytes.
+/// Maximum length of a description, bytes.
 const MAX_DESCRIPTION_BYTES: u64 = 1 << 20;
 
-/// PhotometricInterpretation of a colour-filter mosaic (TIFF/EP) and of its planes (DNG): codes as the sensor
-/// gives them.
+/// PhotometricInterpretation of a colour-filter mosaic (TIFF/EP) and of its planes (DNG): unprocessed
+/// sensor codes.
 const CFA: u16 = 32_803;
 const LINEAR_RAW: u16 = 34_892;
 
-/// A number of 2, 4 or 8 bytes.
+/// Decodes a number of 2, 4 or 8 bytes.
 fn number(bytes: &[u8], big_endian: bool) -> u64 {
     let fold = |n: u64, b: &u8| n << 8 | u64::from(*b);
     if big_endian { bytes.iter().fold(0, fold) } else { bytes.iter().rev().fold(0, fold) }
@@ -80,7 +81,7 @@ impl Directories {
         out.main = out.all.len();
         let sub: Vec<u64> = out.all.iter().flat_map(|d| d.sub.iter().copied()).collect();
         for at in sub {
-            // Of a damaged one the pages before it are still there.
+            // Pages before a damaged directory remain readable.
             if seen.insert(at)
                 && let Ok((directory, _)) = out.directory(&mut file, at)
             {
@@ -93,7 +94,7 @@ impl Directories {
         Ok(out)
     }
 
-    /// One directory, and where the next one begins.
+    /// Reads one directory and the position of the next one.
     fn directory(&self, file: &mut BufReader<File>, at: u64) -> Result<(Directory, u64), ImageError> {
         let (count_bytes, entry_bytes, pointer) = if self.big_tiff { (8, 20, 8) } else { (2, 12, 4) };
         let mut bytes = [0u8; 8];
@@ -133,7 +134,7 @@ impl Directories {
                     );
                 }
                 330 => {
-                    // A header may claim any number of them.
+                    // A header may claim any number of SubIFDs.
                     let mut list = vec![0u8; (values.min(64) as usize) * bytes_each];
                     file.seek(SeekFrom::Start(of(value..value + pointer)))?;
                     if file.read_exact(&mut list).is_ok() {
@@ -146,8 +147,8 @@ impl Directories {
         Ok((out, next))
     }
 
-    /// Numbers of the pages that are frames: thumbnails and masks are none. A file that has nothing but a
-    /// thumbnail keeps its frame in a SubIFD (DNG).
+    /// Returns the numbers of the pages that are frames, without thumbnails and masks. If the main
+    /// directory is only a thumbnail, the frame is in a SubIFD (DNG).
     pub(super) fn frames(&self) -> Vec<usize> {
         if self.contiguous > 1 {
             return (0..self.contiguous).collect();
@@ -162,24 +163,24 @@ impl Directories {
         }
     }
 
-    /// True if the frames are the main directories, of which readers of TIFF agree.
+    /// Returns true if the frames are the main directories, which all TIFF readers agree on.
     pub(super) fn is_plain(&self) -> bool {
         let raw = |d: &Directory| d.photometric.is_some_and(|p| matches!(p.1, CFA | LINEAR_RAW));
         self.contiguous == 1 && self.frames().iter().all(|i| *i < self.main && !raw(&self.all[*i]))
     }
 
-    /// True if the pixels of a page lie under a colour filter and say so.
+    /// Returns true if a page is marked as a colour-filter mosaic.
     pub(super) fn is_mosaic(&self, page: usize) -> bool {
         self.all.get(page).is_some_and(|d| d.photometric.is_some_and(|p| p.1 == CFA))
     }
 
-    /// True if the only directory is that of all frames, as in large stacks of ImageJ.
+    /// Returns true if a single directory describes all frames, as in large ImageJ stacks.
     pub(crate) fn is_contiguous(&self) -> bool {
         self.contiguous > 1
     }
 
-    /// The first of several ImageDescriptions of a page: of two, decoders return the last. Python's tifffile
-    /// writes the shape of the array behind the text of its caller.
+    /// Returns the first ImageDescription of a page with several: decoders return the last. Python's
+    /// tifffile writes the array shape after the caller's text.
     pub(crate) fn first_description(&self, path: &Path, page: usize) -> Option<String> {
         let [(place, length), _, ..] = self.all.get(page)?.descriptions[..] else { return None };
         let mut file = crate::input::open(path).ok()?;
@@ -190,7 +191,7 @@ impl Directories {
         Some(text.trim_end_matches('\0').to_string())
     }
 
-    /// The decoder at a page.
+    /// Opens the decoder at a page.
     pub(crate) fn decoder(&self, path: &Path, page: usize) -> Result<Tiff, ImageError> {
         let place = if self.contiguous > 1 { 0 } else { page };
         let directory = self.all.get(place).ok_or(ImageError::NoPage(page))?;
@@ -207,8 +208,8 @@ impl Directories {
         Ok(Decoder::new(BufReader::new(file))?)
     }
 
-    /// Frames that ImageJ keeps one behind the other with one directory before them: it does so where they reach
-    /// beyond 4 GB, and other programs that write its format always.
+    /// Counts frames stored contiguously behind a single directory: ImageJ does so for stacks beyond 4
+    /// GB, other writers of its format always.
     fn behind_one_directory(&self, path: &Path) -> Option<usize> {
         let mut decoder = self.decoder(path, 0).ok()?;
         let text = decoder.get_tag_ascii_string(Tag::ImageDescription).ok()?;
@@ -224,7 +225,7 @@ impl Directories {
         (is_plain && said > 1 && frame > 0 && end <= size).then_some(said)
     }
 
-    /// Reads a page: codes of 8 to 16 bits into the buffer; anything else is returned as numbers.
+    /// Reads a page: codes of 8 to 16 bits into the buffer; other values are returned as numbers.
     pub(super) fn page(
         &self,
         path: &Path,
@@ -236,13 +237,13 @@ impl Directories {
         read_page(&mut decoder, shift, buffer)
     }
 
-    /// What this file holds beyond one frame, where one is asked for.
+    /// Returns the page of a single frame; refuses a file with more frames.
     pub(super) fn single(&self, path: &Path) -> Result<usize, ImageError> {
         let frames = self.frames();
         let first = frames.first().copied().unwrap_or(0);
         if frames.len() > 1 {
             let size = |page: usize| self.decoder(path, page).ok().and_then(|mut d| d.dimensions().ok());
-            // A second page of another size, or one that cannot be read, is a thumbnail.
+            // A second page of another size, or an unreadable one, is a thumbnail.
             if self.contiguous > 1 || size(first).is_some_and(|s| size(frames[1]) == Some(s)) {
                 return Err(ImageError::Stack(frames.len()));
             }
@@ -251,7 +252,7 @@ impl Directories {
     }
 }
 
-/// A file of which some bytes are shown otherwise.
+/// View of a file with some bytes replaced.
 #[derive(Debug)]
 pub(crate) struct Shown {
     file: File,
@@ -284,11 +285,11 @@ impl Seek for Shown {
 
 pub(crate) type Tiff = Decoder<BufReader<Shown>>;
 
-/// Strips of codes that are neither compressed nor tiled nor inverted.
+/// Strips of codes that are not compressed, tiled or inverted.
 struct Strips {
-    /// Offset and bytes of each, which together hold the image and no more.
+    /// Offset and byte count of each strip; together they hold exactly the image.
     at: Vec<(u64, usize)>,
-    /// The bits of every byte stand the other way round (FillOrder 2).
+    /// True if the bits of every byte are reversed (FillOrder 2).
     reversed: bool,
 }
 
@@ -305,8 +306,8 @@ fn read_page(decoder: &mut Tiff, frame: u64, buffer: &mut Buffer) -> Result<Opti
         other => return Err(ImageError::NotGrey(format!("a TIFF in colour ({other:?})"))),
     };
     let shape = (height as usize, width as usize);
-    // LinearizationTable (DNG 1.6, chapter 4): samples are places in it, often by a root, and no codes of the
-    // converter.
+    // LinearizationTable (DNG 1.6, chapter 4): samples are table indices, often square-root coded, not
+    // converter codes.
     let table = decoder.find_tag_unsigned_vec::<u16>(Tag::Unknown(50_712))?;
     if table.is_some_and(|table| table.iter().enumerate().any(|(i, v)| usize::from(*v) != i)) {
         return Err(ImageError::NoFrames(
@@ -322,7 +323,7 @@ fn read_page(decoder: &mut Tiff, frame: u64, buffer: &mut Buffer) -> Result<Opti
     if frame > 0 {
         return further_frame(decoder, bits, shape, frame).map(Some);
     }
-    // Old and new JPEG, and that of DNG with loss.
+    // Old and new JPEG, and lossy JPEG of DNG.
     if let Some(7 | 34_892) = decoder.find_tag_unsigned::<u64>(Tag::Compression)? {
         return Err(ImageError::NoFrames(
             "a TIFF or DNG with JPEG compression, which radcam does not read; of a DNG `unprocessed_raw -T FILE` of LibRaw (or \
@@ -348,7 +349,7 @@ fn read_page(decoder: &mut Tiff, frame: u64, buffer: &mut Buffer) -> Result<Opti
             buffer.set(array(shape.1, shape.0, v)?);
             return Ok(None);
         }
-        // The EMVA reference tool keeps its codes in 32 bits.
+        // The EMVA reference tool stores codes in 32 bits.
         DecodingResult::U32(v) => numbers(&v),
         DecodingResult::I32(v) => numbers(&v),
         DecodingResult::I16(v) => numbers(&v),
@@ -361,7 +362,7 @@ fn read_page(decoder: &mut Tiff, frame: u64, buffer: &mut Buffer) -> Result<Opti
     Ok(Some(Values::Numbers(array(shape.1, shape.0, numbers)?)))
 }
 
-/// Frame n behind the one directory, of signed or floating-point numbers.
+/// Reads frame n of a single-directory stack of signed or floating-point numbers.
 fn further_frame(
     decoder: &mut Tiff,
     bits: u8,
@@ -393,10 +394,10 @@ fn further_frame(
     Ok(Values::Numbers(array(shape.1, shape.0, numbers)?))
 }
 
-/// Where the pixels lie in a file whose codes stand as they are.
+/// Locates the pixels in a file with uncompressed, directly readable codes.
 fn plain_strips(decoder: &mut Tiff, bits: u8, shape: (usize, usize), frame: u64) -> Option<Strips> {
     let mut tag = |tag, usual: u64| Some(decoder.find_tag_unsigned::<u64>(tag).ok()?.unwrap_or(usual));
-    // Not compressed, black is 0, unsigned, no predictor; strips and not tiles.
+    // Requires: uncompressed, black is 0, unsigned, no predictor, strips instead of tiles.
     for of in [
         Tag::Compression,
         Tag::PhotometricInterpretation,
@@ -418,13 +419,13 @@ fn plain_strips(decoder: &mut Tiff, bits: u8, shape: (usize, usize), frame: u64)
         vec![(offsets.first()?.checked_add(frame.checked_mul(needed as u64)?)?, needed)]
     };
     let there = at.iter().try_fold(0usize, |sum, s| sum.checked_add(s.1))?;
-    // A header may claim anything; the file holds what it holds.
+    // Offsets in the header may be wrong: they are checked against the file size.
     let size = decoder.inner().seek(SeekFrom::End(0)).ok()?;
     let inside = at.iter().all(|(o, b)| o.checked_add(*b as u64).is_some_and(|end| end <= size));
     (bits <= 16 && there == needed && inside).then_some(Strips { at, reversed })
 }
 
-/// Reads strips of codes into place.
+/// Reads strips of codes into the buffer.
 fn read_strips(
     decoder: &mut Tiff,
     strips: &Strips,
@@ -464,7 +465,8 @@ fn read_strips(
     Ok(())
 }
 
-/// Codes of any number of bits, the highest first; every row begins with a byte (TIFF 6.0, section 3).
+/// Unpacks codes of any bit depth, most significant bit first; every row begins at a byte (TIFF 6.0,
+/// section 3).
 fn unpack(bytes: &[u8], row: usize, columns: usize, bits: u8, dn: &mut [u16]) {
     for (bytes, dn) in bytes.chunks_exact(row.max(1)).zip(dn.chunks_exact_mut(columns.max(1))) {
         let (mut held, mut have) = (0u32, 0u32);
