@@ -1,8 +1,8 @@
-//! Variance budget of a region (Fig. 4 of the paper): which part of the total variance comes from where, against intensity.
+//! Variance budget of a region (Fig. 4 of the paper): sources of the total variance, against intensity.
 
 use serde::{Deserialize, Serialize};
 
-/// What the variance of a raw region is made of.
+/// Components of the variance of a raw region.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Parts {
     /// V_s of the surface.
@@ -19,7 +19,7 @@ pub struct Parts {
     pub dark_dn: f64,
 }
 
-/// The budget at one intensity: variances in DN^2.
+/// Variance budget at one intensity, DN^2.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Level {
     /// Mean above the dark reference, DN.
@@ -34,7 +34,7 @@ pub struct Level {
     pub constant_dn2: f64,
     /// A (mu + dark).
     pub shot_dn2: f64,
-    /// Their sum.
+    /// Sum of the parts.
     pub total_dn2: f64,
 }
 
@@ -42,7 +42,7 @@ pub struct Level {
 pub const NAMES: [&str; 5] = ["scene", "shot", "K", "constant noise", "dark, spatial"];
 
 impl Level {
-    /// The parts over the total, in the order of [`NAMES`].
+    /// Parts over the total, in the order of [`NAMES`].
     pub fn shares(&self) -> [f64; 5] {
         [self.scene_dn2, self.shot_dn2, self.k_dn2, self.constant_dn2, self.dark_spatial_dn2]
             .map(|part| part / self.total_dn2)
@@ -50,8 +50,8 @@ impl Level {
 }
 
 impl Parts {
-    /// The budget at a mean above the dark reference, DN. Scene, dark current and K are independent of the temporal noise
-    /// and of one another, so that variances add up (Section VII.C of the paper).
+    /// Computes the budget at a mean above the dark reference, DN. Scene, dark current and K are independent
+    /// of the temporal noise and of one another, so that variances add up (Section VII.C of the paper).
     ///
     /// ```
     /// use radcam::budget::Parts;
@@ -71,7 +71,7 @@ impl Parts {
         Level { mean_dn, scene_dn2, dark_spatial_dn2, k_dn2, constant_dn2, shot_dn2, total_dn2 }
     }
 
-    /// The budget at `n` even steps up to `top_dn`.
+    /// Computes the budget at `n` even steps up to `top_dn`.
     pub fn levels(&self, top_dn: f64, n: usize) -> Vec<Level> {
         (1..=n).map(|i| self.at(top_dn * i as f64 / n as f64)).collect()
     }

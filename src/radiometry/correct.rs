@@ -8,19 +8,20 @@ use crate::pixel_format::{PixelFormat, WrongLength};
 use ndarray::Array2;
 use rayon::prelude::*;
 
-/// Pixels that one thread takes at a time.
+/// Pixels per work item of a thread.
 const CHUNK: usize = 65_536;
-/// Pixels that are unpacked at a time: their codes stay in the nearest cache. Whole bytes and whole groups of every packed format.
+/// Pixels unpacked at a time: their codes stay in the nearest cache. Whole bytes and whole groups of every
+/// packed format.
 const BLOCK: usize = 4096;
 
-/// A level so many standard deviations of a pixel's dark noise below the dark reference is one of other settings:
-/// no light makes it.
+/// Maximum distance of a level below the dark reference, in standard deviations of a pixel's dark noise: a
+/// lower level has other settings, since no light makes it.
 const MAX_BELOW: f64 = 5.0;
 
-/// A calibration made ready for one exposure.
+/// Calibration prepared for one exposure.
 ///
-/// Memory is what limits correction: dark reference and 1/K are kept as half floats of their distance from a middle, which
-/// they leave by little. A value is rounded by at most 1/2048 of that distance: of a K that is 1 % off by 4.9e-6.
+/// Correction is limited by memory: dark reference and 1/K are stored as half floats of their small distance
+/// from the median. A value is rounded by at most 1/2048 of that distance: 4.9e-6 for a K that is 1 % off.
 #[derive(Debug, Clone)]
 pub struct Corrector {
     shape: (usize, usize),
@@ -28,18 +29,18 @@ pub struct Corrector {
     gain: Halves,
     /// Largest code of the camera, DN: frames may come in a wider format.
     full_scale_dn: u16,
-    /// Pixels to replace, and the sound ones whose mean replaces them.
+    /// Pixels to replace, and the sound pixels whose mean replaces them.
     replace: Vec<(usize, Vec<usize>)>,
 }
 
-/// A map as half floats about its median.
+/// Map of half floats about its median.
 #[derive(Debug, Clone)]
 struct Halves {
     about: About,
     off: Vec<u16>,
 }
 
-/// What half floats of a map count from, and in what: a value is `middle` + `unit` times what [`widen`] makes of the bits.
+/// Origin and unit of the half floats of a map: a value is `middle` + `unit` times the result of [`widen`].
 #[derive(Debug, Clone, Copy)]
 struct About {
     middle: f32,
@@ -53,8 +54,9 @@ impl Halves {
         let half = sorted.len() / 2;
         let middle =
             if sorted.is_empty() { 0.0 } else { *sorted.select_nth_unstable_by(half, f32::total_cmp).1 };
-        // Times the power of two that brings the largest close to the largest half float: the small ones then have all their digits.
-        // No code lies 2^30 away: what does is a dark current that saturates.
+        // Scales by the power of two that brings the largest distance close to the largest half float, so
+        // that small distances keep all their digits. No code lies 2^30 away; only a dark current that
+        // saturates does.
         let off = |v: f32| (v - middle).clamp(-1.073_741_8e9, 1.073_741_8e9);
         let largest = values.iter().map(|v| off(*v).abs()).fold(0.0, f32::max);
         let power = if largest > 0.0 { (32_768.0 / largest).log2().floor().clamp(-15.0, 60.0) } else { 0.0 };
@@ -64,26 +66,28 @@ impl Halves {
     }
 }
 
-/// The bits of 2^112, by which the exponents of a float and of a half float's bits in its place differ.
+/// Bits of 2^112, the factor between a half float and its bits placed in a float.
 const BIAS: u32 = 0x7780_0000;
 
-/// A half float's bits as a float of 2^-112 times its value: sign, exponent and digits stand in their places. Vectorises to three instructions.
+/// Converts a half float's bits to a float of 2^-112 times its value: sign, exponent and digits are shifted
+/// into place. Vectorises to three instructions.
 #[inline(always)]
 fn widen(bits: u16) -> f32 {
     let spread = i32::from(bits as i16) << 13;
     f32::from_bits(spread as u32 & 0x8fff_e000)
 }
 
-/// How corrected values become 16-bit codes: code = scale * D_C + offset, rounded, clipped to 0 and 65535.
+/// Conversion of corrected values to 16-bit codes: code = scale * D_C + offset, rounded, clipped to 0 and
+/// 65535.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Codes {
     /// Codes per DN.
     pub scale: f32,
-    /// Code of D_C = 0: room for noise below zero.
+    /// Code of D_C = 0, with room for noise below zero.
     pub offset: f32,
 }
 
-/// Why a frame cannot be corrected.
+/// Error: a frame cannot be corrected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CorrectError {
@@ -98,7 +102,7 @@ pub enum CorrectError {
     /// The calibration was made under other settings.
     #[error("the calibration does not hold here: {0}")]
     Settings(String),
-    /// No exposure.
+    /// Not a valid exposure.
     #[error("an exposure of {0} s; write a number of seconds that is not below 0")]
     Exposure(f64),
     /// Dark charge fills the range at this exposure.
@@ -115,19 +119,19 @@ pub enum CorrectError {
         /// Largest code, DN.
         full_scale_dn: u16,
     },
-    /// Frames are darker than no light makes them.
+    /// Frames are darker than without light.
     #[error(
         "{below_dn:.0} DN darker than the dark reference at {} s: exposure, black level or temperature are not those of the \
          calibration; --force goes on all the same",
         six_digits(*exposure_s)
     )]
     Darker {
-        /// How far below, DN.
+        /// Distance below the dark reference, DN.
         below_dn: f64,
         /// Exposure, s.
         exposure_s: f64,
     },
-    /// The dark reference does not reach to this exposure.
+    /// The dark reference does not extend to this exposure.
     #[error(transparent)]
     Dark(#[from] DarkError),
     /// The bytes are not those of a frame of that size and format.
@@ -135,14 +139,14 @@ pub enum CorrectError {
     Bytes(#[from] WrongLength),
 }
 
-/// What was seen of a raw frame while it was corrected.
+/// Statistics of a raw frame, collected while it is corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Seen {
     /// Sum of all codes, DN.
     pub sum_dn: u64,
-    /// Pixels at full scale.
+    /// Number of pixels at full scale.
     pub saturated: u64,
-    /// Pixels.
+    /// Number of pixels.
     pub pixels: u64,
 }
 
@@ -162,11 +166,11 @@ impl Seen {
 }
 
 impl Corrector {
-    /// Makes a calibration ready for frames of an exposure, s.
+    /// Prepares a calibration for frames of an exposure, s.
     ///
     /// # Errors
     ///
-    /// Where this is no exposure, or the dark reference does not reach to it.
+    /// If this is no exposure, or the dark reference does not extend to it.
     pub fn new(calibration: &Calibration, exposure_s: f64) -> Result<Self, CorrectError> {
         if !(exposure_s.is_finite() && exposure_s >= 0.0) {
             return Err(CorrectError::Exposure(exposure_s));
@@ -199,12 +203,12 @@ impl Corrector {
         self
     }
 
-    /// Pixels that are replaced.
+    /// Number of replaced pixels.
     pub fn replaced(&self) -> usize {
         self.replace.len()
     }
 
-    /// Rows and columns.
+    /// Number of rows and columns.
     pub fn shape(&self) -> (usize, usize) {
         self.shape
     }
@@ -214,12 +218,12 @@ impl Corrector {
         self.dark_dn.about.middle
     }
 
-    /// Refuses a level of frames, DN, that lies below the dark reference by more than noise and the reference's
-    /// error allow.
+    /// Refuses a level of frames, DN, below the dark reference by more than noise and the reference's error
+    /// allow.
     ///
     /// # Errors
     ///
-    /// That it is darker, and by how much.
+    /// If the level is darker, with the difference.
     pub fn is_lit(
         &self,
         calibration: &Calibration,
@@ -249,7 +253,7 @@ impl Corrector {
     ///
     /// # Errors
     ///
-    /// Where frame, output and calibration differ in size.
+    /// If frame, output and calibration differ in size.
     pub fn to_f32(&self, frame: &[u16], out: &mut [f32]) -> Result<(), CorrectError> {
         self.each(frame, out, ())?;
         for (at, from) in &self.replace {
@@ -262,19 +266,20 @@ impl Corrector {
     ///
     /// # Errors
     ///
-    /// Where frame, output and calibration differ in size.
+    /// If frame, output and calibration differ in size.
     pub fn to_u16(&self, frame: &[u16], codes: Codes, out: &mut [u16]) -> Result<(), CorrectError> {
         self.each(frame, out, (codes, u16::MAX))?;
         self.replace_u16(out);
         Ok(())
     }
 
-    /// Corrects a frame from its bytes as they came over the wire to 16-bit codes, in one pass: what is unpacked stays in the nearest cache.
-    /// Codes are those of [`to_u16`](Self::to_u16), bit for bit, but none is above `limit`.
+    /// Corrects a frame from its bytes as transferred to 16-bit codes, in one pass: unpacked codes stay in
+    /// the nearest cache. Codes equal those of [`to_u16`](Self::to_u16) bit for bit, but are limited to
+    /// `limit`.
     ///
     /// # Errors
     ///
-    /// Where bytes, output and calibration differ in size.
+    /// If bytes, output and calibration differ in size.
     pub fn arrived_to_u16(
         &self,
         format: PixelFormat,
@@ -315,11 +320,11 @@ impl Corrector {
         Ok(seen)
     }
 
-    /// Corrects a frame (row by row, DN) to 16-bit codes where it lies, as [`to_u16`](Self::to_u16) does.
+    /// Corrects a frame (row by row, DN) to 16-bit codes in place, like [`to_u16`](Self::to_u16).
     ///
     /// # Errors
     ///
-    /// Where frame and calibration differ in size.
+    /// If frame and calibration differ in size.
     pub fn in_place(&self, frame: &mut [u16], codes: Codes) -> Result<(), CorrectError> {
         self.check([frame.len(), frame.len()])?;
         let arch = pulp::Arch::new();
@@ -346,7 +351,7 @@ impl Corrector {
         }
     }
 
-    /// Every pixel of a frame, on all cores.
+    /// Corrects every pixel of a frame, on all cores.
     fn each<T: Send, F: Sync + Copy>(&self, frame: &[u16], out: &mut [T], form: F) -> Result<(), CorrectError>
     where
         for<'a> Piece<'a, T, F>: pulp::NullaryFnOnce<Output = ()>,
@@ -365,7 +370,7 @@ impl Corrector {
     ///
     /// # Errors
     ///
-    /// Where frame, output and calibration differ in size.
+    /// If frame, output and calibration differ in size.
     pub fn image(&self, frame: &Array2<u16>) -> Result<Array2<f32>, CorrectError> {
         let mut out = Array2::zeros(self.shape);
         let frame = frame.as_standard_layout();
@@ -374,13 +379,13 @@ impl Corrector {
     }
 }
 
-/// The bytes of a frame as codes, where they are that already.
+/// Returns the bytes of a frame as codes if they need no conversion.
 fn as_codes(format: PixelFormat, bytes: &[u8]) -> Option<&[u16]> {
     let plain = format.bits_per_pixel() == 16 && cfg!(target_endian = "little");
     plain.then(|| bytemuck::try_cast_slice(bytes).ok()).flatten()
 }
 
-/// Pixels that one thread takes, their maps, and the form in which they are wanted.
+/// Pixels of one work item, their maps, and the requested form of output.
 struct Piece<'a, T, F> {
     frame: &'a [u16],
     dark: &'a [u16],
@@ -391,7 +396,7 @@ struct Piece<'a, T, F> {
 }
 
 impl<T, F> Piece<'_, T, F> {
-    /// (D - D_DC) / K (eq. 51). `look` sees every raw code.
+    /// Computes (D - D_DC) / K (eq. 51). `look` receives every raw code.
     #[inline(always)]
     fn corrected(self, form: impl Fn(f32) -> T, mut look: impl FnMut(u16)) {
         let (about_dark, about_gain) = self.about;
@@ -410,7 +415,7 @@ impl Piece<'_, u16, (Codes, u16)> {
     fn codes(self, look: impl FnMut(u16)) {
         let (Codes { scale, offset }, limit) = self.form;
         let most = ZERO + i32::from(limit);
-        // Adding 1.5 * 2^23 rounds to a whole number and leaves it in the low bits; the bits order as the numbers do.
+        // Adding 1.5 * 2^23 rounds to an integer in the low bits; the bits order as the numbers do.
         let code = |v: f32| {
             let bits = (v * scale + offset + 12_582_912.0).to_bits() as i32;
             bits.max(ZERO).min(most) as u16
@@ -419,7 +424,7 @@ impl Piece<'_, u16, (Codes, u16)> {
     }
 }
 
-/// A piece of at most [`BLOCK`] pixels that is looked at while it is corrected.
+/// Piece of at most [`BLOCK`] pixels whose statistics are collected while it is corrected.
 struct Watched<'a> {
     piece: Piece<'a, u16, (Codes, u16)>,
     full_scale_dn: u16,
@@ -431,7 +436,7 @@ impl pulp::NullaryFnOnce for Watched<'_> {
     #[inline(always)]
     fn call(self) -> Seen {
         let pixels = self.piece.frame.len() as u64;
-        // Of a block both fit into 32 bits, as the codes are while they are converted.
+        // For one block both fit into 32 bits, the width of the codes while they are converted.
         let (mut sum, mut saturated) = (0u32, 0u32);
         self.piece.codes(|d| {
             sum += u32::from(d);
@@ -459,7 +464,7 @@ impl pulp::NullaryFnOnce for Piece<'_, u16, (Codes, u16)> {
     }
 }
 
-/// The bits of 1.5 * 2^23.
+/// Bits of 1.5 * 2^23.
 const ZERO: i32 = 0x4b40_0000;
 
 #[cfg(test)]
@@ -476,9 +481,9 @@ mod tests {
         CameraInfo { width: info.1, height: info.0, bit_depth: 12, ..Default::default() }
     }
 
-    /// A corrected flat at high light has the spatial variance of shot and constant noise alone, within 3 % at eight
-    /// levels, while the raw one's grows as intensity squared. The light itself is even here, so that what is left of
-    /// the pattern is the camera's.
+    /// A corrected flat at high light has the spatial variance of shot and constant noise alone, within 3 %
+    /// at eight levels, while that of the raw flat grows as intensity squared. The light is even here, so
+    /// that the remaining pattern is the camera's.
     #[test]
     fn a_corrected_flat_is_limited_by_shot_noise() {
         let mut model = sensors::load("cmos12").unwrap();
@@ -522,7 +527,7 @@ mod tests {
         for level in 1..=8 {
             let exposure_s = flat_s * f64::from(level) / 8.0;
             let corrector = Corrector::new(&calibration, exposure_s).unwrap();
-            // Eight frames: 153,600 samples, whose variance is known to 0.4 %.
+            // Eight frames have 153,600 samples, which give the variance to 0.4 %.
             let (mut corrected, mut raw, mut mean) = (0.0, 0.0, 0.0);
             for frame in 0..8 {
                 let mut dn = Array2::zeros(shape);
@@ -537,13 +542,14 @@ mod tests {
             assert!((corrected / noise - 1.0).abs() < 0.03, "level {level}: {corrected} for {noise}");
             raw_excess.push((raw - noise - 0.35f64.powi(2)) / (mean * mean));
         }
-        // The excess of the raw frames is sigma_K^2 of the square, at every level where it can be seen.
+        // The excess of the raw frames is sigma_K^2 times the squared mean, at every level where it is
+        // visible.
         for excess in &raw_excess[3..] {
             assert!((excess.sqrt() / sensor.model().base.sigma_k - 1.0).abs() < 0.1, "{raw_excess:?}");
         }
     }
 
-    /// Every half float but the not-finite ones, against the library's own conversion.
+    /// All finite half floats, compared with the library's own conversion.
     #[test]
     fn halves_are_widened_exactly() {
         for bits in (0..=u16::MAX).filter(|b| b & 0x7c00 != 0x7c00) {
@@ -552,8 +558,8 @@ mod tests {
         }
     }
 
-    /// Values come back within 1/2048 of their distance from the median, whatever the range of the map: a flat one, PRNU, a hot pixel of 16 bits,
-    /// distances so small that half floats would not have all their digits, and what is no number.
+    /// Values are recovered within 1/2048 of their distance from the median, for any range of the map: a flat
+    /// one, PRNU, a hot pixel of 16 bits, distances too small for all digits of half floats, and infinity.
     #[test]
     fn maps_keep_their_digits() {
         for (middle, spread, far) in [
@@ -568,7 +574,7 @@ mod tests {
             let halves = Halves::new(values.iter().copied());
             for (&bits, &v) in halves.off.iter().zip(values.iter().filter(|v| v.is_finite())) {
                 let back = halves.about.middle + halves.about.unit * widen(bits);
-                // Beside it the sum's own rounding, and half the smallest step of a half float.
+                // In addition, rounding of the sum, and half the smallest step of a half float.
                 let smallest = 2f32.powi(-25) * halves.about.unit * 2f32.powi(-112);
                 let most = (v - halves.about.middle).abs() / 2048.0 + v.abs() * f32::EPSILON + smallest;
                 assert!((back - v).abs() <= most, "{v} comes back as {back}");
@@ -576,8 +582,8 @@ mod tests {
         }
     }
 
-    /// Every format, at a size that is no multiple of anything, with a replaced pixel: as unpacked and then corrected, and what is seen is
-    /// what is there.
+    /// Every format, at a size that is no multiple of anything, with replaced pixels: equal to unpacking and
+    /// then correcting, and the statistics are those of the frame.
     #[test]
     fn a_frame_is_corrected_as_it_came() {
         let n = 2 * CHUNK + 3 * BLOCK + 4 * 7;

@@ -1,4 +1,5 @@
-//! A correction as the electronics of a camera do it: whole numbers, one offset and one factor for each pixel, and a list of defects.
+//! Correction in the electronics of a camera: integers, one offset and one factor per pixel, and a list of
+//! defects.
 
 use crate::calibrate::defects::replacements_of;
 use crate::calibrate::file::Calibration;
@@ -12,38 +13,39 @@ const MAGIC: [u8; 4] = *b"RCFF";
 const VERSION: u16 = 1;
 /// Bytes before the first pixel.
 const HEADER: usize = 20;
-/// Binary places of a factor: steps of 6e-5, up to 4.
+/// Fractional bits of a factor: steps of 6e-5, up to 4.
 const GAIN_PLACES: u16 = 14;
-/// Binary places of an offset, where its range allows them: a sixteenth of a DN.
+/// Maximum fractional bits of an offset, if its range allows them: a sixteenth of a DN.
 const OFFSET_PLACES: u16 = 4;
 
 /// Offsets and factors of all pixels of a sensor.
 ///
-/// Of a code d the camera makes ((d - offset) * gain + black level), rounded to the nearest code and kept between 0 and the full scale: eq. (51) of
-/// the paper with gain = 1/K, and offset = the dark reference.
+/// The camera turns a code d into ((d - offset) * gain + black level), rounded to the nearest code and
+/// clipped to 0 and full scale: eq. (51) of the paper with gain = 1/K and offset = the dark reference.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FlatField {
     width: u32,
     height: u32,
     /// Code at 0 DN above the dark reference.
     black_dn: u16,
-    /// Binary places of the offsets.
+    /// Fractional bits of the offsets.
     places: u16,
     /// Offset and factor of each pixel, row by row.
     pixels: Vec<[u16; 2]>,
 }
 
-/// Why bytes are no file of coefficients.
+/// Error: bytes are no file of coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct LayoutError(&'static str);
 
 impl FlatField {
-    /// The coefficients of a calibration at an exposure, s, and how many of them had to be cut to what a factor or an offset can be.
+    /// Computes the coefficients of a calibration at an exposure, s, and the number of values clipped to the
+    /// range of a factor or an offset.
     ///
     /// # Errors
     ///
-    /// Where the dark reference does not reach to this exposure.
+    /// If the dark reference does not extend to this exposure.
     pub fn of(calibration: &Calibration, exposure_s: f64) -> Result<(Self, usize), CorrectError> {
         let dark = calibration.dark.at(exposure_s)?;
         let (height, width) = dark.dim();
@@ -70,7 +72,7 @@ impl FlatField {
         ))
     }
 
-    /// Columns and rows.
+    /// Number of columns and rows.
     pub fn size(&self) -> (u32, u32) {
         (self.width, self.height)
     }
@@ -80,13 +82,14 @@ impl FlatField {
         self.black_dn
     }
 
-    /// Largest rounding of an offset, DN.
+    /// Maximum rounding of an offset, DN.
     pub fn offset_rounding_dn(&self) -> f64 {
         0.5 / f64::from(1u16 << self.places)
     }
 
-    /// The layout of a file: `RCFF`, version, binary places of offsets and of factors, black level (u16 each), two zero bytes, columns, rows
-    /// (u32 each); then offset and factor of each pixel (u16 each), row by row; little endian.
+    /// Writes the layout of a file: `RCFF`, version, fractional bits of offsets and of factors, black level
+    /// (u16 each), two zero bytes, columns, rows (u32 each); then offset and factor of each pixel (u16 each),
+    /// row by row; little endian.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(HEADER + 4 * self.pixels.len());
         out.extend(MAGIC);
@@ -99,11 +102,11 @@ impl FlatField {
         out
     }
 
-    /// Reads what [`to_bytes`](Self::to_bytes) writes.
+    /// Reads the output of [`to_bytes`](Self::to_bytes).
     ///
     /// # Errors
     ///
-    /// In words, what is wrong.
+    /// A message about the fault.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LayoutError> {
         let (header, rest) = bytes.split_at_checked(HEADER).ok_or(LayoutError("shorter than its header"))?;
         let short = |at: usize| u16::from_le_bytes([header[at], header[at + 1]]);
@@ -124,7 +127,7 @@ impl FlatField {
         Ok(Self { width, height, black_dn: short(8), places, pixels: pixels.collect() })
     }
 
-    /// Corrects the pixels of a region in place; what lies beyond the sensor stays.
+    /// Corrects the pixels of a region in place; pixels beyond the sensor are left unchanged.
     pub fn apply(&self, region: Region, full_scale_dn: u16, dn: &mut [u16]) {
         let (places, half) = (i64::from(self.places), 1i64 << (self.places + GAIN_PLACES - 1));
         let columns = self.width as usize;
@@ -140,7 +143,7 @@ impl FlatField {
     }
 }
 
-/// A list of defects, and the pixels whose mean replaces them.
+/// List of defects, and the pixels whose mean replaces them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DefectList {
     width: usize,
@@ -148,7 +151,8 @@ pub struct DefectList {
 }
 
 impl DefectList {
-    /// Of a sensor of this size; `places` are columns and rows. Pixels of one colour are `step` apart.
+    /// Creates the list for a sensor of this size; `places` are (column, row). Pixels of one colour are
+    /// `step` apart.
     pub fn new((width, height): (usize, usize), places: &[(u32, u32)], step: usize) -> Self {
         let mut flags = Array2::zeros((height, width));
         for &(x, y) in places {
@@ -216,7 +220,8 @@ mod tests {
         Calibration::new(Description::of(camera), dark, pattern, &[])
     }
 
-    /// The camera's codes are the host's to one code, which its rounded coefficients explain, and mostly the same.
+    /// The camera's codes agree with the host's to one code, as the rounded coefficients explain, and most
+    /// are equal.
     #[test]
     fn a_camera_corrects_as_the_host_does() {
         for bit_depth in [8, 12, 16] {
@@ -234,12 +239,12 @@ mod tests {
             flat.apply(Region { x: 0, y: 0, width: 60, height: 40 }, full, &mut camera);
             let limited = host.iter().map(|h| *h.min(&full));
             let apart: Vec<u16> = camera.iter().zip(limited).map(|(c, h)| c.abs_diff(h)).collect();
-            // A factor is rounded by 3e-5: of 65 535 DN that is 2.
+            // A factor is rounded by 3e-5: 2 DN of 65 535.
             let most = 1 + (f64::from(full) * 0.5 / 16_384.0 + flat.offset_rounding_dn() * 1.2) as u16;
             assert!(apart.iter().all(|a| *a <= most), "{bit_depth} bits: {:?}", apart.iter().max());
             let same = apart.iter().filter(|a| **a == 0).count();
             assert!(bit_depth == 16 || same > 2200, "{bit_depth} bits: {same} of 2400");
-            // A region is the same pixels.
+            // A region gives the same pixels.
             let mut part: Vec<u16> = (5..25).flat_map(|y| frame[y * 60 + 7..y * 60 + 37].to_vec()).collect();
             flat.apply(Region { x: 7, y: 5, width: 30, height: 20 }, full, &mut part);
             let of_whole: Vec<u16> = (5..25).flat_map(|y| camera[y * 60 + 7..y * 60 + 37].to_vec()).collect();

@@ -1,8 +1,8 @@
 //! Evaluations of a campaign: Healey and Kondepudy 1994, and EMVA 1288.
 //!
-//! In: an examined dataset or a table. Out: gain and read noise ([`noise`]), the correction of each pixel
-//! ([`calibrate`], [`flat_field`], applied by [`correct`]), the standard's quantities ([`emva`]), and the paper's
-//! scene variation, surfaces and budget of errors. Begin with [`noise`].
+//! Input: an examined dataset or a table. Output: gain and read noise ([`noise`]), the correction of each
+//! pixel ([`calibrate`], [`flat_field`], applied by [`correct`]), the standard's quantities ([`emva`]), and
+//! the paper's scene variation, surfaces and budget of errors. Begin with [`noise`].
 
 pub mod budget;
 pub mod calibrate;

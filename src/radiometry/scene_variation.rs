@@ -1,7 +1,9 @@
-//! Scene variation (Section VI of the paper, eq. 54 to 58): how much a surface varies, whatever the lamp does.
+//! Scene variation (Section VI of the paper, eq. 54 to 58): relative variation of a surface, independent of
+//! the lamp.
 //!
-//! Of a corrected image's spatial variance the camera's own noise is taken off; what is left grows as the square of the
-//! mean, and its factor V_s = sigma_E^2 / S^2 belongs to the surface (and to how its light varies) alone.
+//! The camera's own noise is subtracted from the spatial variance of a corrected image. The remainder grows
+//! as the square of the mean, and its factor V_s = sigma_E^2 / S^2 depends on the surface (and on how its
+//! light varies) alone.
 
 use crate::calibrate::file::Calibration;
 use crate::number::Quantity;
@@ -11,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Blocks along each side of a region for the standard error.
 const BLOCKS: usize = 5;
 
-/// What the camera itself adds, from its calibration.
+/// Noise of the camera, from its calibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraNoise {
     /// A, DN per electron.
@@ -37,11 +39,11 @@ pub struct Roi {
     pub height: usize,
 }
 
-/// Why there is no scene variation.
+/// Error: no scene variation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum VariationError {
-    /// The calibration was made without levels enough to know the noise.
+    /// The calibration has too few levels to determine the noise.
     #[error(
         "the calibration holds no gain and constant noise; calibrate from a campaign with flats of several levels \
          (`radcam plan-calibration` writes such a plan)"
@@ -75,7 +77,7 @@ pub enum VariationError {
         /// Pixels of the region.
         pixels: usize,
     },
-    /// Nothing to divide by.
+    /// No light to divide by.
     #[error("the region's mean is {mean_dn:.3} DN above the dark reference: no light, no scene variation")]
     Dark {
         /// Mean, DN.
@@ -83,7 +85,7 @@ pub enum VariationError {
     },
 }
 
-/// Scene variation of a region with what it was made of.
+/// Scene variation of a region, with its components.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Variation {
     /// V_s.
@@ -92,22 +94,22 @@ pub struct Variation {
     pub mean_dn: f64,
     /// sigma_D^2 (eq. 55), DN^2.
     pub spatial_var_dn2: f64,
-    /// sigma_CN^2 (eq. 56 and 58) over the frames averaged, with what the calibration's own errors add, DN^2.
+    /// sigma_CN^2 (eq. 56 and 58) over the frames averaged, including the calibration's own errors, DN^2.
     pub noise_var_dn2: f64,
-    /// Standard error of V_s from the camera's noise alone: what scatters when the same patch is seen again.
+    /// Standard error of V_s from the camera's noise alone: scatter of repeated views of one patch.
     pub repeat_std_err: f64,
-    /// Sound pixels.
+    /// Number of sound pixels.
     pub pixels: usize,
-    /// Frames averaged.
+    /// Number of frames averaged.
     pub frames: u64,
 }
 
 impl CameraNoise {
-    /// Noise of a calibration's camera.
+    /// Takes the camera's noise from a calibration.
     ///
     /// # Errors
     ///
-    /// Where the calibration holds no gain and constant noise.
+    /// If the calibration holds no gain and constant noise.
     pub fn of(calibration: &Calibration) -> Result<Self, VariationError> {
         let d = &calibration.description;
         match (d.gain_dn_per_e, d.constant_noise_var_dn2) {
@@ -121,17 +123,17 @@ impl CameraNoise {
         }
     }
 
-    /// sigma_N^2 of one frame at a mean above the black level (eq. 41), DN^2.
+    /// Computes sigma_N^2 of one frame at a mean above the black level (eq. 41), DN^2.
     pub fn var_dn2(&self, above_zero_dn: f64) -> f64 {
         self.gain_dn_per_e * above_zero_dn + self.constant_noise_var_dn2
     }
 }
 
-/// The part of a map that a region covers.
+/// Returns the part of a map that a region covers.
 ///
 /// # Errors
 ///
-/// Where the rectangle leaves the image.
+/// If the rectangle leaves the image.
 pub fn part<'a, T>(map: &'a Array2<T>, roi: Roi) -> Result<ArrayView2<'a, T>, VariationError> {
     let (rows, columns) = map.dim();
     let fits = |from: usize, size: usize, all: usize| from.checked_add(size).is_some_and(|end| end <= all);
@@ -146,16 +148,16 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     sum / n
 }
 
-/// V_s of a region of a corrected image (mean of `frames` frames, (rows, columns), DN above the dark reference), eq. (54)
-/// to (58). `dark_dn` is the dark reference at the image's exposure.
+/// Computes V_s of a region of a corrected image (mean of `frames` frames, (rows, columns), DN above the dark
+/// reference), eq. (54) to (58). `dark_dn` is the dark reference at the image's exposure.
 ///
-/// The variance that the calibration itself adds is taken off too: the mean square error of K times the squared mean, and
-/// the error of the dark reference. The standard error is a delete-one-block jackknife over 25 blocks, so that a grain
-/// wider than a pixel does not make it too small, together with the errors of A and sigma_C^2.
+/// The variance from the calibration itself is subtracted too: the mean square error of K times the squared
+/// mean, and the error of the dark reference. The standard error combines a delete-one-block jackknife over
+/// 25 blocks, which allows for a grain wider than a pixel, with the errors of A and sigma_C^2.
 ///
 /// # Errors
 ///
-/// Where the region leaves the image, is too small or too dark, or frame and calibration differ in size.
+/// If the region leaves the image, is too small or too dark, or frame and calibration differ in size.
 pub fn of_region(
     corrected: &Array2<f32>,
     frames: u64,
@@ -171,7 +173,7 @@ pub fn of_region(
     if roi.width < 10 || roi.height < 10 {
         return Err(VariationError::Small { width: roi.width, height: roi.height });
     }
-    // Defect pixels show nothing of the surface.
+    // Defect pixels say nothing of the surface.
     fn sound<'a>(
         map: &'a ArrayView2<'_, f32>,
         flags: &'a ArrayView2<'_, u8>,
@@ -192,7 +194,8 @@ pub fn of_region(
     let of_k = mean(sound(&k, &flags).map(|k| k.powi(-2)));
     let frames = frames.max(1);
     let temporal = noise.var_dn2(above_zero_dn) * of_k / frames as f64;
-    // The dark reference's error d is in K too: at the level L of K's flats it cancels, at mu d^2 (1 - mu / L)^2 are left.
+    // The dark reference's error d is in K too: it cancels at the level L of K's flats; at mu, d^2 (1 - mu /
+    // L)^2 is left.
     let d = &calibration.description;
     let dark_error = d.dark_std_err_dn.unwrap_or(0.0);
     let own = mean(sound(&k_error, &flags).map(|e| e.powi(2))) - d.dark_error_of_k().powi(2);
@@ -201,7 +204,7 @@ pub fn of_region(
     let value = |var: f64, noise: f64, mean: f64| (var - noise) / (mean * mean);
     let whole = value(spatial_var_dn2, noise_var_dn2, mean_dn);
 
-    // Each block left out in turn: sums are enough.
+    // Leaves out each block in turn; sums are enough.
     let sums: Vec<[f64; 3]> = (0..BLOCKS * BLOCKS)
         .map(|block| {
             let span = |i: usize, size: usize| i * size / BLOCKS..(i + 1) * size / BLOCKS;
@@ -229,11 +232,12 @@ pub fn of_region(
     let of_line = (above_zero_dn * above_zero_dn * aa + 2.0 * above_zero_dn * ac + cc).max(0.0)
         * (of_k / frames as f64 / (mean_dn * mean_dn)).powi(2);
     let std_err = (jackknife + of_line).sqrt();
-    // Whatever varies by its own mean is no surface: the mean is too small to divide by.
+    // A variation as large as the mean is no surface: the mean is too small to divide by.
     if std_err.is_nan() || (std_err >= 1.0 && whole < 3.0 * std_err) {
         return Err(VariationError::Dark { mean_dn });
     }
-    // The same patch again: the variance of a variance of noise about a pattern that stays, 2 v^2 + 4 v (pattern's variance).
+    // Repeated view of one patch: variance of a variance of noise about a fixed pattern, 2 v^2 + 4 v
+    // (pattern's variance).
     let stays = (spatial_var_dn2 - temporal).max(0.0);
     let again = (2.0 * temporal * temporal + 4.0 * temporal * stays) / n / mean_dn.powi(4);
     Ok(Variation {
@@ -247,12 +251,12 @@ pub fn of_region(
     })
 }
 
-/// V_s over windows of `side` pixels side by side, and its standard error, each (windows down, windows across); NaN where a
-/// window is dark, or more than half of it are defect pixels.
+/// Computes V_s and its standard error over adjacent windows of `side` pixels, each (windows down, windows
+/// across); NaN for a window that is dark, or more than half defect pixels.
 ///
 /// # Errors
 ///
-/// Where the region leaves the image, is too small or too dark, or frame and calibration differ in size.
+/// If the region leaves the image, is too small or too dark, or frame and calibration differ in size.
 pub fn map(
     corrected: &Array2<f32>,
     frames: u64,

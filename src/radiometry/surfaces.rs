@@ -7,58 +7,58 @@ use std::path::{Path, PathBuf};
 /// Name and major version of the file.
 pub const FORMAT: &str = "radcam-surfaces/1";
 
-/// Chance below which the nearest surface is not the one seen.
+/// Minimum probability of the distance to the nearest surface; below it no surface is named.
 pub const NONE_BELOW: f64 = 1e-4;
 
-/// A library of surfaces, a TOML file.
+/// Library of surfaces, a TOML file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Library {
     /// [`FORMAT`].
     pub format: String,
-    /// What was learnt.
+    /// Learnt surfaces.
     #[serde(default, rename = "surface")]
     pub surfaces: Vec<Surface>,
 }
 
-/// One surface.
+/// Surface of a library.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Surface {
-    /// Its name.
+    /// Name of the surface.
     pub name: String,
     /// V_s.
     pub scene_variation: f64,
-    /// Its standard error.
+    /// Standard error of V_s.
     pub std_err: f64,
-    /// Regions that it was learnt from.
+    /// Number of regions learnt.
     pub regions: u32,
-    /// What tells those regions from others, where it is known.
+    /// Identifiers of these regions, where known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub seen: Vec<String>,
 }
 
-/// What a library says of a region.
+/// Identification of a region.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
-    /// The most likely surface; null: none of these.
+    /// Most likely surface; null: none of these.
     pub surface: Option<String>,
-    /// Every surface, the most likely first.
+    /// All surfaces, the most likely first.
     pub candidates: Vec<Candidate>,
 }
 
-/// One surface as a candidate.
+/// Candidate surface.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
-    /// Its name.
+    /// Name of the surface.
     pub name: String,
     /// Log-likelihood of the V_s seen.
     pub log_likelihood: f64,
-    /// Share among the surfaces of the library, each as likely beforehand as the others.
+    /// Probability among the surfaces of the library, with equal priors.
     pub probability: f64,
     /// Distance in standard errors of the difference.
     pub z: f64,
 }
 
-/// Why a library cannot be read or used.
+/// Error: a library cannot be read or used.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {message}")]
 pub struct LibraryError {
@@ -77,7 +77,7 @@ impl Library {
     ///
     /// # Errors
     ///
-    /// Where the file cannot be read or is no library.
+    /// If the file cannot be read or is no library.
     pub fn read(path: &Path) -> Result<Self, LibraryError> {
         let fault = |message: String| LibraryError { path: path.into(), message };
         let text = crate::input::settings(path).map_err(|e| fault(e.to_string()))?;
@@ -96,23 +96,24 @@ impl Library {
         }
     }
 
-    /// Writes the library whole or not at all.
+    /// Writes the library atomically.
     ///
     /// # Errors
     ///
-    /// Where the file cannot be written.
+    /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), LibraryError> {
         let fault = |message: String| LibraryError { path: path.into(), message };
         let text = toml::to_string(self).map_err(|e| fault(e.to_string()))?;
         crate::dataset::write_whole(path, text.as_bytes()).map_err(|e| fault(e.to_string()))
     }
 
-    /// Adds a region's V_s to a surface, or a new surface: regions are put together by the inverse of their variances. `region` tells it from
-    /// others; one that was learnt before is refused, for it tells nothing new.
+    /// Adds a region's V_s to a surface, or a new surface; regions are averaged with inverse-variance
+    /// weights. `region` identifies the region. A region learnt before is refused, since it adds no
+    /// information.
     ///
     /// # Errors
     ///
-    /// Where this region was learnt already, and as what.
+    /// If this region was learnt already, with its name.
     pub fn learn(&mut self, name: &str, seen: &Quantity, region: &str) -> Result<(), String> {
         let before = self.surfaces.iter().find(|s| s.seen.iter().any(|r| r == region));
         if let Some(before) = before {
@@ -138,8 +139,8 @@ impl Library {
         Ok(())
     }
 
-    /// Names a surface by its V_s. "None of these" where even the nearest would give such a distance with a chance below
-    /// [`NONE_BELOW`].
+    /// Identifies a surface by its V_s. No surface is returned if the distance even of the nearest has a
+    /// probability below [`NONE_BELOW`].
     ///
     /// ```
     /// use radcam::number::Quantity;
@@ -189,7 +190,7 @@ mod tests {
             let seen = Quantity::new(value, 1e-4, "1");
             library.learn("paint", &seen, &value.to_string()).unwrap();
         }
-        // The same region tells nothing new, whatever it is called.
+        // A region learnt twice adds nothing, under any name.
         let again = Quantity::new(1.2e-3, 1e-4, "1");
         assert!(library.learn("chalk", &again, "0.0012").unwrap_err().contains("as \"paint\""));
         assert!((library.surfaces[0].scene_variation - 1.1e-3).abs() < 1e-12);

@@ -1,12 +1,12 @@
-//! Step of a converter whose codes were stretched, found from the codes that occur.
+//! Code step of a converter whose codes were stretched, estimated from the codes that occur.
 //!
 //! Programs and cameras store 8 to 14 bits in 16: times 16 or 257, with the bits repeated, or scaled by
-//! 65535/4095 and rounded. All of these are floor(step k + offset) of whole k: a digital straight line. A line is
-//! accepted if every code lies on it, and if that is no accident.
+//! 65535/4095 and rounded. All of these are floor(step k + offset) of integer k: a digital straight line. A
+//! line is accepted if every code lies on it and the match is unlikely by chance.
 
 use statrs::function::factorial::ln_binomial;
 
-/// How often each value of 16 bits occurs.
+/// Counts of each 16-bit value.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Occurring(Vec<u64>);
 
@@ -16,7 +16,7 @@ impl Default for Occurring {
     }
 }
 
-/// Share of the samples that may lie off the line: pixels that a camera fills in from their neighbours after its
+/// Maximum share of samples off the line: pixels that a camera interpolates from their neighbours after its
 /// codes were stretched (a named choice; a thousandth of the pixels moves no statistic).
 const MAX_STRAY: f64 = 1e-3;
 
@@ -28,19 +28,19 @@ impl Occurring {
         }
     }
 
-    /// Adds those that others saw.
+    /// Merges the counts of another.
     pub fn merge(&mut self, other: &Self) {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a += b);
     }
 
-    /// Counts of the codes from 0 on; what lies beyond 16 bits is left out.
+    /// Creates counts from a list indexed by code; codes beyond 16 bits are ignored.
     pub fn of_counts(counts: &[u64]) -> Self {
         let mut out = Self::default();
         out.0.iter_mut().zip(counts).for_each(|(sum, n)| *sum = *n);
         out
     }
 
-    /// Codes that occur, the lowest first.
+    /// Codes that occur, in ascending order.
     pub fn codes(&self) -> Vec<f64> {
         self.more_often_than(0)
     }
@@ -49,11 +49,12 @@ impl Occurring {
         self.0.iter().enumerate().filter(|(_, n)| **n > limit).map(|(code, _)| code as f64).collect()
     }
 
-    /// Step and offset of stretched codes, or `None` where neighbouring codes occur or too few codes to tell.
+    /// Returns step and offset of stretched codes; `None` if neighbouring codes occur or there are too few
+    /// codes.
     pub fn stretch(&self) -> Option<Stretch> {
         let codes = self.codes();
-        // The ends of the range are no codes of the converter where values were cut off there. A whole step is
-        // tried first: with one code off, a step that is almost whole fits too.
+        // Clipped values at the ends of the range are not codes of the converter. An integer step is tried
+        // first: with one code off, a nearly integer step fits too.
         let n = codes.len();
         let parts = [(0, n), (0, n.saturating_sub(1)), (1, n)];
         let cut = |(from, to): (usize, usize)| codes.get(from..to.max(from)).unwrap_or(&[]);
@@ -73,13 +74,13 @@ impl Occurring {
         of_whole_codes(&self.more_often_than(limit.last().copied()?))
     }
 
-    /// Step and offset of codes that were multiplied by a number between 1 and 2 after conversion, as by a
-    /// digital gain, or `None`. Such codes are a balanced word: steps of one and of two as even as can be
-    /// (Lothaire 2002, Algebraic Combinatorics on Words, section 2.1.2).
+    /// Returns step and offset of codes that were multiplied by a number between 1 and 2 after conversion, as
+    /// by a digital gain; otherwise `None`. Such codes are a balanced word: steps of one and of two,
+    /// distributed as evenly as possible (Lothaire 2002, Algebraic Combinatorics on Words, section 2.1.2).
     pub fn multiplied(&self) -> Option<Stretch> {
         let runs = self.runs();
         let width = |step: f64| runs.iter().map(|run| band_of(run, step).1).fold(0.0, f64::max);
-        // The largest of convex functions is convex.
+        // The maximum of convex functions is convex.
         let step = least_of(width, 1.0, 2.0);
         let chance: f64 = runs.iter().map(|run| evidence_of_balance(run)).sum();
         let found = width(step) < WHOLE && chance > MIN_EVIDENCE && MULTIPLIED.contains(&step);
@@ -88,11 +89,12 @@ impl Occurring {
         Some(Stretch { step, zero: zero - step * (zero / step).round() })
     }
 
-    /// Codes that occur within each range in which at most every second code is left out, and none by chance.
+    /// Returns the runs of codes in which at most every second code is missing, and none by chance.
     fn runs(&self) -> Vec<Vec<f64>> {
-        /// Samples of both neighbours from which on an empty code is no chance.
+        /// Minimum samples of both neighbours for an empty code to be significant.
         const MIN_SAMPLES: u64 = 100;
-        /// Share of its rarer neighbour up to which a code is left out: pixels that a camera fills in.
+        /// Maximum ratio to the rarer neighbour at which a code counts as missing: interpolated pixels add
+        /// samples.
         const LEFT_OUT: f64 = 0.02;
         let (mut runs, mut run) = (Vec::new(), Vec::new());
         for (code, n) in self.0.windows(3).enumerate().map(|(i, n)| ((i + 1) as f64, n)) {
@@ -108,10 +110,10 @@ impl Occurring {
         runs
     }
 
-    /// True where noise covers four successive codes, as far apart as those that lie nearest, and none between
-    /// them.
+    /// Returns true if noise covers four successive codes at the smallest distance that occurs, with none
+    /// between.
     fn has_a_run(&self) -> bool {
-        /// Samples of a code from which an empty neighbour is no chance.
+        /// Minimum samples of a code for an empty neighbour to be significant.
         const MIN_SAMPLES: u64 = 30;
         let codes = self.codes();
         let often = self.more_often_than(MIN_SAMPLES - 1);
@@ -119,45 +121,45 @@ impl Occurring {
         often.windows(4).any(|w| w.windows(2).all(|pair| pair[1] - pair[0] == smallest))
     }
 
-    /// True where the codes show by themselves that they count in steps of 1: neighbours occur.
+    /// Returns true if neighbouring codes occur: the codes count in steps of 1.
     pub fn has_neighbours(&self) -> bool {
         self.0.windows(2).any(|pair| pair[0] > 0 && pair[1] > 0)
     }
 }
 
-/// Value of code k: `zero` + `step` k, and at most half a rounding off.
+/// Line of stretched codes: code k has the value `zero` + `step` k, to within half a rounding.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stretch {
-    /// Distance of successive codes.
+    /// Distance between successive codes.
     pub step: f64,
     /// Value of code 0: between minus half a step and half a step.
     pub zero: f64,
 }
 
 impl Stretch {
-    /// Code of a value. What is off the line of stretched codes belongs to the code below: they were cut off at
-    /// full scale.
+    /// Returns the code of a value. Values off the line of stretched codes belong to the code below: they
+    /// were clipped at full scale.
     pub fn code(&self, value: f64) -> f64 {
         if self.step < 2.0 {
             return ((value - self.zero) / self.step).round();
         }
-        // Rounded, a value is half a step of the file off at most.
+        // Rounding shifts a value by at most half a step of the file.
         ((value - self.zero + 0.75) / self.step).floor()
     }
 }
 
-/// Steps of multiplied codes: nearer to 1 or 2 too few codes differ from those of whole steps (a named
-/// choice).
+/// Range of steps of multiplied codes: nearer to 1 or 2 too few codes differ from those of whole steps (a
+/// named choice).
 const MULTIPLIED: std::ops::Range<f64> = 1.01..1.99;
 
-/// Middle of the band that successive values leave about lines of this step, at place 0, and its width.
+/// Returns the centre, at place 0, and the width of the band of successive values about lines of this step.
 fn band_of(values: &[f64], step: f64) -> (f64, f64) {
     let off = values.iter().enumerate().map(|(k, v)| v - step * k as f64);
     let (low, high) = off.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
     (0.5 * (low + high), high - low)
 }
 
-/// Place of the least value of a convex function between two places, by thirds.
+/// Returns the minimiser of a convex function between two places, by ternary search.
 fn least_of(of: impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
     for _ in 0..60 {
         let (left, right) = (a + (b - a) / 3.0, b - (b - a) / 3.0);
@@ -166,26 +168,27 @@ fn least_of(of: impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
     0.5 * (a + b)
 }
 
-/// Logarithm of the number of ways to order these steps of one and two, over the number of balanced ones: of
-/// n steps there are fewer than n^3 for all numbers of twos, and n^2 for one.
+/// Computes the logarithm of the number of orders of these steps of one and two, over the number of balanced
+/// orders. Of n steps there are fewer than n^3 balanced orders for all numbers of twos, and n^2 for one
+/// number.
 fn evidence_of_balance(values: &[f64]) -> f64 {
     let steps = values.len() - 1;
     let twos = values.windows(2).filter(|w| w[1] - w[0] > 1.5).count();
     (ln_binomial(steps as u64, twos as u64) - 2.0 * (steps as f64).ln()).max(0.0)
 }
 
-/// Smallest chance that codes lie on a line by accident which is taken for one: exp(-14), one in a million.
+/// Minimum evidence for a line, as minus the logarithm of its chance probability: exp(-14), one in a million.
 const MIN_EVIDENCE: f64 = 14.0;
 
-/// Width of the band about its line that rounded codes leave: less than 1, whatever way they are rounded. Of
-/// steps m / (2^15 - 1) it is 1 - 3e-5; at 1 every second number lies on a line of step 2.
+/// Maximum width of the band of rounded codes about their line: less than 1 for any kind of rounding. For
+/// steps m / (2^15 - 1) the width is 1 - 3e-5; at 1 every second number lies on a line of step 2.
 const WHOLE: f64 = 1.0 - 1e-5;
 
-/// The same where four successive codes were seen often: codes of a converter have neighbours there (a named
-/// choice; two more codes at a step of 4).
+/// Minimum evidence for a line if four successive codes occur often: codes of a converter have neighbours
+/// there (a named choice; two more codes at a step of 4).
 const MIN_EVIDENCE_OF_A_RUN: f64 = 4.0;
 
-/// Greatest common divisor of the distances of sorted whole values.
+/// Finds the step as the greatest common divisor of the distances of sorted integers.
 fn of_multiples(values: &[f64], min_evidence: f64) -> Option<Stretch> {
     let first = *values.first()? as i64;
     let divisor = values.iter().fold(0, |mut a: i64, v| {
@@ -201,12 +204,12 @@ fn of_multiples(values: &[f64], min_evidence: f64) -> Option<Stretch> {
     (divisor >= 2 && evidence > min_evidence).then_some(Stretch { step, zero })
 }
 
-/// Step of sorted whole values that occur.
+/// Finds the step of sorted integers that occur.
 pub fn of_whole_codes(values: &[f64]) -> Option<Stretch> {
     of_multiples(values, MIN_EVIDENCE).or_else(|| of_sorted(values, WHOLE, 2.0))
 }
 
-/// Step of sorted floating-point values that occur: exact but for their own last bits.
+/// Finds the step of sorted floating-point values that occur: exact except for their last bits.
 pub fn of_numbers(values: &[f64]) -> Option<Stretch> {
     let largest = values.iter().fold(0.0f64, |a, v| a.max(v.abs()));
     // Four units in the last place of single precision.
@@ -214,14 +217,14 @@ pub fn of_numbers(values: &[f64]) -> Option<Stretch> {
     of_sorted(values, window.max(f64::MIN_POSITIVE), 4.0 * window)
 }
 
-/// Step of sorted values that lie within `window` of a line; `None` if two lie nearer than `least`.
+/// Finds the step of sorted values that lie within `window` of a line; `None` if two are closer than `least`.
 fn of_sorted(values: &[f64], window: f64, least: f64) -> Option<Stretch> {
     let gaps: Vec<f64> = values.windows(2).map(|w| w[1] - w[0]).collect();
     let smallest = gaps.iter().copied().fold(f64::INFINITY, f64::min);
     if gaps.is_empty() || smallest < least || !smallest.is_finite() {
         return None;
     }
-    // The longest run of single steps tells the step well enough to count the steps of larger gaps.
+    // The longest run of single steps gives the step well enough to count the steps of larger gaps.
     let single = |gap: &f64| *gap < smallest + 1.01 * window;
     let (mut run, mut longest, mut from) = (0, 0, 0);
     for (i, gap) in gaps.iter().enumerate() {
@@ -233,14 +236,14 @@ fn of_sorted(values: &[f64], window: f64, least: f64) -> Option<Stretch> {
     let step = (values[from + longest] - values[from]) / longest as f64;
     let fits = |places: Vec<f64>, step: f64| {
         let (step, zero, width) = narrowest(values, &places, step)?;
-        // Values that a line allows, of all that there are between two steps.
+        // Share of the values between two steps that a line allows.
         let allowed = (window / step).min(1.0);
         let evidence = -allowed.ln() * (values.len() - 1) as f64;
         (width <= window && step >= least && evidence > MIN_EVIDENCE)
             .then(|| Stretch { step, zero: zero - step * (zero / step).round() })
     };
-    // A run of n steps tells their size to about 2 / n, which does not count the steps of a large gap: what
-    // programs stretch by comes first.
+    // A run of n steps gives the step to about 2 / n, which is too coarse to count the steps of a large gap.
+    // The usual stretch factors of programs are tried first.
     let near = |q: &f64| window == WHOLE && (q - step).abs() <= 2.0 / longest as f64 + 1e-9;
     let known = usual_steps().into_iter().filter(near);
     let on_grid = |q: f64| values.iter().map(|v| ((v - values[from]) / q).round()).collect();
@@ -250,7 +253,7 @@ fn of_sorted(values: &[f64], window: f64, least: f64) -> Option<Stretch> {
         .or_else(|| fits(outwards(values, &gaps, from, longest), step))
 }
 
-/// Steps of 16 bits that programs stretch shorter codes to: scaled to full scale or bits repeated.
+/// Lists the usual steps of programs that stretch shorter codes: scaled to full scale or bits repeated.
 fn usual_steps() -> Vec<f64> {
     let scaled = (1..16).flat_map(|bits| {
         let codes = f64::from(1u32 << bits);
@@ -259,7 +262,7 @@ fn usual_steps() -> Vec<f64> {
     scaled.collect()
 }
 
-/// Counts the steps from a run of single ones outwards, by the line through those counted before.
+/// Counts the steps outwards from a run of single steps, by the line through the points counted before.
 fn outwards(values: &[f64], gaps: &[f64], from: usize, longest: usize) -> Vec<f64> {
     let mut line = Line::new(values[from]);
     let mut places = vec![0.0; values.len()];
@@ -285,7 +288,7 @@ fn outwards(values: &[f64], gaps: &[f64], from: usize, longest: usize) -> Vec<f6
     places
 }
 
-/// Sums of a straight line, about its first point.
+/// Sums for a straight-line fit, relative to its first point.
 struct Line {
     from: f64,
     n: f64,
@@ -311,9 +314,9 @@ impl Line {
     }
 }
 
-/// The slope about this one whose line leaves the narrowest band, the band's middle at place 0, and its width.
+/// Returns the slope near `step` with the narrowest band, the centre of the band at place 0, and its width.
 ///
-/// The width is a convex function of the slope, so that thirds find its least value.
+/// The width is a convex function of the slope, so ternary search finds its minimum.
 fn narrowest(values: &[f64], places: &[f64], step: f64) -> Option<(f64, f64, f64)> {
     let span = places.last()? - places.first()?;
     let band = |step: f64| {
@@ -324,7 +327,7 @@ fn narrowest(values: &[f64], places: &[f64], step: f64) -> Option<(f64, f64, f64
         let (a, b) = band(step);
         b - a
     };
-    // Least squares are off by less than the band over the span of the places.
+    // A least-squares slope is off by less than the band width over the span of the places.
     let reach = 2.0 * width(step) / span.max(1.0);
     let step = least_of(width, step - reach, step + reach);
     let (low, high) = band(step);
@@ -342,7 +345,7 @@ mod tests {
         occurring.stretch()
     }
 
-    /// Converter codes as darks and four flats have them.
+    /// Returns converter codes as they occur in darks and four flats.
     fn converter(bits: u32) -> Vec<u32> {
         let full = (1u32 << bits) - 1;
         let around =
@@ -359,7 +362,7 @@ mod tests {
 
     type Scale = fn(u32) -> u32;
 
-    /// Every way to stretch is found with its step, and every code comes back.
+    /// Every kind of stretching is found with its step, and every code is recovered.
     #[test]
     fn stretched_codes_come_back() {
         let ways: [(&str, u32, f64, Scale); 11] = [
@@ -390,7 +393,7 @@ mod tests {
         }
     }
 
-    /// Codes of a converter that were not stretched, and few codes of any kind, are none.
+    /// Unstretched codes of a converter, and few codes of any kind, give no step.
     #[test]
     fn other_codes_are_left_alone() {
         assert_eq!(of(converter(12).into_iter().map(|v| v as u16)), None);
@@ -404,22 +407,21 @@ mod tests {
             let found = of((0..40).map(|i| code(i) as u16));
             assert_eq!(found, None, "{seed}");
         }
-        // Codes off the line that are more than strays.
+        // More codes off the line than the maximum share of strays.
         let off = [1003, 1005, 2011, 3003, 5001];
         assert_eq!(of(converter(12).into_iter().map(|v| 16 * v as u16).chain(off)), None);
     }
 
-    /// Counts of a campaign's codes: each of these often, and what its neighbours would have filled in now
-    /// and then.
+    /// Returns the counts of a campaign in which each of these codes occurs often.
     fn often(codes: impl Iterator<Item = f64>) -> Occurring {
         let mut counts = vec![0u64; 1 << 16];
         codes.for_each(|code| counts[code as usize] += 400);
         Occurring::of_counts(&counts)
     }
 
-    /// Codes times a number between 1 and 2 are found with it, rounded or cut off, of sweeps with gaps
-    /// between their levels; codes as they are, square-root tables and converters that leave single codes out
-    /// are not.
+    /// Codes times a number between 1 and 2, rounded or truncated, are found with this factor in sweeps with
+    /// gaps between their levels. Codes as they are, square-root tables and converters with missing codes are
+    /// not.
     #[test]
     fn multiplied_codes_are_told_from_tables() {
         for k in 0..300u32 {
@@ -437,12 +439,12 @@ mod tests {
             let expanded = (300..sent as u32).map(|c| table(c).round());
             assert_eq!(often(expanded).multiplied(), None, "{sent}");
         }
-        // Every eighth code is missing, and another one by chance.
+        // Every eighth code is missing, and others by chance.
         let some = (300..3000u32).filter(|c| c % 8 != 7 && c.wrapping_mul(2_654_435_761) >> 29 != 0);
         assert_eq!(often(some.map(f64::from)).multiplied(), None);
     }
 
-    /// Quiet darks alone tell the step too.
+    /// Quiet darks alone determine the step too.
     #[test]
     fn few_codes_that_occur_often_are_enough() {
         let counts = [(96u16, 40usize), (100, 900), (104, 1200), (108, 700), (112, 31)];
@@ -452,7 +454,7 @@ mod tests {
         assert_eq!(of(apart.into_iter().flat_map(|(code, n)| std::iter::repeat_n(code, n))), None);
     }
 
-    /// Values cut off at an end of the range, and a few pixels filled in afterwards, hide no step.
+    /// Values clipped at an end of the range, and a few interpolated pixels, do not hide a step.
     #[test]
     fn strays_hide_no_step() {
         let stretched: Vec<u16> = converter(12).into_iter().map(|v| 16 * v as u16).collect();

@@ -1,7 +1,7 @@
 //! Sample variance of a pixel over a few frames whose noise is correlated in time.
 //!
-//! With R the correlation matrix of n frames, A = C R C is the same about their mean (C = 1 - 1/n). All sums need
-//! time linear in n, since R depends on the distance of two frames only.
+//! With R the correlation matrix of n frames, A = C R C is that of their deviations from the mean (C = 1 -
+//! 1/n). All sums take time linear in n, since R depends only on the distance of two frames.
 
 /// Correlations of a pixel's noise in n successive frames.
 pub struct CorrelatedFrames {
@@ -14,7 +14,7 @@ pub struct CorrelatedFrames {
 }
 
 impl CorrelatedFrames {
-    /// Correlations of n frames, two at least, by their distance; `rho` is asked for 1 to n - 1.
+    /// Computes the correlations of n frames (at least two) from `rho`, called with distances 1 to n - 1.
     pub fn new(n: usize, rho: impl Fn(usize) -> f64) -> Self {
         let n = n.max(2);
         let rho: Vec<f64> = std::iter::once(1.0).chain((1..n).map(rho)).collect();
@@ -53,10 +53,10 @@ impl CorrelatedFrames {
         2.0 * squares / (trace * trace).max(1e-12) - 2.0 / (n - 1.0)
     }
 
-    /// Mean square over the square of the mean, less 1, of the variances of the deviations of each frame from the
-    /// mean of the frames before it, scaled to one frame; 0 for independent frames.
+    /// Squared coefficient of variation of the variances of each frame's deviation from the mean of the
+    /// frames before it, scaled to one frame; 0 for independent frames.
     pub fn unlike(&self) -> f64 {
-        // Correlations of a frame to those before it, and among these.
+        // Sums of the correlations of a frame with the earlier frames, and among the earlier frames.
         let (mut to, mut among) = (0.0, 1.0);
         let of_frame = |(k, r): (usize, &f64)| {
             let before = k as f64;
@@ -76,9 +76,9 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// 40 000 draws each of a running average of weight 0.4 and of a mean of the last two frames: mean and
-    /// relative variance of the sample variance, and mean product of successive residuals, within five standard
-    /// errors of ten parts of the draws.
+    /// 40 000 draws each of a running average of weight 0.4 and of a mean of the last two frames. Mean and
+    /// relative variance of the sample variance, and mean product of successive residuals, agree within five
+    /// standard errors, estimated from ten parts of the draws.
     #[test]
     fn sample_variances_scatter_as_stated() {
         const PARTS: usize = 10;
@@ -126,7 +126,7 @@ mod tests {
         }
     }
 
-    /// Deviations from the mean of the frames before, by their weights; none differ where frames are independent.
+    /// Deviations from the mean of the earlier frames agree with explicit weights; independent frames give 0.
     #[test]
     fn deviations_from_earlier_frames_have_unlike_variances() {
         let rho = |k: usize| 0.6f64.powi(k as i32);

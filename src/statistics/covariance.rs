@@ -1,5 +1,5 @@
-//! Covariances of the noise of pixels at small lags within a frame, their growth across the sensor and with the parity of rows and
-//! columns.
+//! Covariances of pixel noise at small lags within a frame, their growth across the sensor, and their
+//! dependence on the parity of rows and columns.
 
 use super::jackknife::{BLOCKS, Blocks, Value};
 use serde::{Deserialize, Serialize};
@@ -10,40 +10,41 @@ pub const LAGS: [(i32, i32); 10] =
 /// Places in [`LAGS`] of the next column and of the next row.
 const NEXT: [usize; 2] = [0, 3];
 
-/// Bands of rows: blocks, with even and odd rows apart.
+/// Bands of rows: blocks, with even and odd rows separate.
 const BANDS: usize = 2 * BLOCKS;
-/// Rows that are summed in 32 bits, a sixteenth of them in each band.
+/// Rows summed in 32 bits before a flush, a sixteenth of them in each band.
 const ROWS: usize = 4096;
 
 /// Products of deviations, summed over bands of rows and kept by column.
 #[derive(Debug, Clone)]
 pub struct Covariance {
     shape: (usize, usize),
-    /// By lag, band, column.
+    /// Sums by lag, band, column.
     sums: Vec<f64>,
     now: Vec<f32>,
     rows: usize,
 }
 
-/// What it says.
+/// Covariances with their standard errors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Covariances {
-    /// At each of [`LAGS`], DN^2.
+    /// Covariance at each of [`LAGS`], DN^2.
     pub at: Vec<Value>,
-    /// With the next column: right half less left; with the next row: lower half less upper, DN^2.
+    /// Growth: covariance with the next column, right half minus left; with the next row, lower half minus
+    /// upper, DN^2.
     pub growth: [Value; 2],
-    /// With the next column: from odd columns less from even ones; with the next row alike, DN^2.
+    /// Covariance with the next column, odd columns minus even ones; with the next row likewise, DN^2.
     pub parity: [Value; 2],
 }
 
 impl Covariance {
-    /// For frames of (rows, columns).
+    /// Creates an accumulator for frames of (rows, columns).
     pub fn new(shape: (usize, usize)) -> Self {
         let n = LAGS.len() * BANDS * shape.1;
         Self { shape, sums: vec![0.0; n], now: vec![0.0; n], rows: 0 }
     }
 
-    /// Forgets every frame.
+    /// Discards all frames.
     pub fn clear(&mut self) {
         self.sums.fill(0.0);
         self.now.fill(0.0);
@@ -55,10 +56,10 @@ impl Covariance {
         self.rows = 0;
     }
 
-    /// Over pairs of pixels as counted by `pairs`, divided by `dof`.
+    /// Computes the covariances over the pairs of pixels counted in `pairs`, divided by `dof`.
     pub fn finish(&self, pairs: &Self, dof: f64) -> Covariances {
         let columns = self.shape.1;
-        // By lag: all, and those of odd rows or columns only.
+        // By lag: all pairs, or those of odd rows or columns only.
         let gather = |lag: usize, take: &dyn Fn(usize, usize) -> bool| {
             let mut out = Blocks::default();
             for band in 0..BANDS {
@@ -88,7 +89,7 @@ impl Covariance {
 }
 
 impl Covariance {
-    /// Adds row `y` of an image whose rows up to `y` are there.
+    /// Adds row `y` of an image; rows up to `y` must be filled.
     #[inline(always)]
     pub fn add_row(&mut self, y: usize, image: &[f32]) {
         let (rows, columns) = self.shape;
@@ -99,7 +100,7 @@ impl Covariance {
             }
             let upper = &image[(y - dy) * columns..][..columns];
             let lower = &image[y * columns..][..columns];
-            // The band is that of the upper pixel's row parity, within the lower one's block.
+            // The band combines the row parity of the upper pixel with the block of the lower one.
             let band = 2 * Blocks::of(y, rows) + (y - dy) % 2;
             let out = &mut self.now[(lag * BANDS + band) * columns..][..columns];
             let n = columns - shift;
@@ -115,14 +116,14 @@ impl Covariance {
         self.rows += 1;
     }
 
-    /// The image is complete.
+    /// Completes the image.
     pub fn end_image(&mut self) {
         if self.rows >= ROWS {
             self.flush();
         }
     }
 
-    /// Adds the sums of another.
+    /// Merges the sums of another.
     pub fn add_sums(&mut self, other: &Self) {
         let from = other.sums.iter().zip(&other.now);
         self.sums.iter_mut().zip(from).for_each(|(s, (o, n))| *s += o + f64::from(*n));

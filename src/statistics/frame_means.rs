@@ -1,4 +1,4 @@
-//! Means of whole frames, with their mean, variance, succession and first step.
+//! Means of whole frames, with their mean, variance, serial correlation and first step.
 
 use super::succession::sums;
 use serde::{Deserialize, Serialize};
@@ -13,27 +13,27 @@ impl FrameMeans {
         self.0.push(mean_dn);
     }
 
-    /// Adds the frames that follow.
+    /// Merges the frames that follow.
     pub fn merge(&mut self, later: &Self) {
         self.0.extend_from_slice(&later.0);
     }
 
-    /// Forgets all frames and keeps the memory.
+    /// Discards all frames but keeps the memory.
     pub fn clear(&mut self) {
         self.0.clear();
     }
 
-    /// Frames.
+    /// Number of frames.
     pub fn frames(&self) -> u64 {
         self.0.len() as u64
     }
 
-    /// Each of them, DN.
+    /// Mean of each frame, DN.
     pub fn each_dn(&self) -> &[f64] {
         &self.0
     }
 
-    /// Mean of all, DN; 0 of none.
+    /// Mean of all frames, DN; 0 without frames.
     pub fn mean_dn(&self) -> f64 {
         self.0.iter().sum::<f64>() / self.0.len().max(1) as f64
     }
@@ -43,7 +43,8 @@ impl FrameMeans {
         self.sums().0 / (self.0.len() as f64 - 1.0)
     }
 
-    /// Sum of the products of successive deviations from the mean over that of their squares.
+    /// Serial correlation: sum of the products of successive deviations from the mean, over that of their
+    /// squares.
     pub fn succession(&self) -> f64 {
         let (square, product) = self.sums();
         product / square
@@ -53,7 +54,7 @@ impl FrameMeans {
         sums(self.0.iter().copied())
     }
 
-    /// The first frame less the mean of the others, DN.
+    /// First frame minus the mean of the others, DN.
     pub fn first_step_dn(&self) -> f64 {
         let n = self.0.len() as f64;
         let first = self.0.first().copied().unwrap_or(f64::NAN);

@@ -10,11 +10,11 @@ pub const BLOCKS: usize = 8;
 pub struct Value {
     /// The value.
     pub value: f64,
-    /// Its standard error.
+    /// Standard error of the value.
     pub std_err: f64,
 }
 
-/// Sums by block of the sensor and what they are divided by.
+/// Sums by block of the sensor, and their divisors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Blocks(Vec<(f64, f64)>);
 
@@ -25,12 +25,12 @@ impl Default for Blocks {
 }
 
 impl Blocks {
-    /// The block along one side that place `i` of `n` belongs to.
+    /// Block along one side that place `i` of `n` belongs to.
     pub fn of(i: usize, n: usize) -> usize {
         i * BLOCKS / n
     }
 
-    /// Where the places of a block along one side end.
+    /// End of a block along one side.
     pub fn end(block: usize, n: usize) -> usize {
         ((block + 1) * n).div_ceil(BLOCKS)
     }
@@ -47,18 +47,18 @@ impl Blocks {
         self.part(|_| true)
     }
 
-    /// That of the blocks at (down, right) that are wanted.
+    /// Ratio of the totals over the selected blocks at (down, right), with its jackknife error.
     pub fn part(&self, wanted: impl Fn((usize, usize)) -> bool) -> Value {
         let places = self.0.iter().enumerate().filter(|(i, _)| wanted((i / BLOCKS, i % BLOCKS)));
         jackknife(places.map(|(_, b)| [*b; 2]), |v, _| v)
     }
 
-    /// A function of the ratios of two sums over the same blocks: what they share is in the error.
+    /// Function of the ratios of two sums over the same blocks; the error includes their correlation.
     pub fn with(&self, other: &Self, of: impl Fn(f64, f64) -> f64) -> Value {
         jackknife(self.0.iter().zip(&other.0).map(|(a, b)| [*a, *b]), of)
     }
 
-    /// The value of one part less that of the other.
+    /// Value of the selected blocks minus that of the other blocks.
     pub fn difference(&self, far: impl Fn((usize, usize)) -> bool) -> Value {
         let (a, b) = (self.part(&far), self.part(|at| !far(at)));
         Value { value: a.value - b.value, std_err: a.std_err.hypot(b.std_err) }

@@ -1,32 +1,32 @@
-//! Which pixels of a sensor count, and where they lie.
+//! Mask and geometry of the pixels of a sensor.
 
 use super::covariance::Covariance;
 use super::jackknife::Blocks;
 use ndarray::Array2;
 
-/// Which pixels count, and what is known of them: the same for all sets of a campaign.
+/// Pixels in use and their known properties, common to all sets of a campaign.
 #[derive(Debug)]
 pub struct Layout {
-    /// Rows and columns.
+    /// Number of rows and columns.
     pub shape: (usize, usize),
-    /// 1 for a pixel that counts, row by row.
+    /// 1 for a pixel in use, otherwise 0, row by row.
     pub mask: Vec<f32>,
-    /// How many count, in all.
+    /// Number of pixels in use.
     pub pixels: f64,
-    /// In each row, in each column.
+    /// Number of pixels in use in each row, and in each column.
     pub row_pixels: Vec<f32>,
     /// See `row_pixels`.
     pub column_pixels: Vec<f32>,
-    /// The pixels' level without light, DN, where it is known.
+    /// Dark level of the pixels, DN, if known.
     pub zero: Option<Vec<f32>>,
-    /// Growth of a pixel's variance with its signal, DN: brighter pixels are not taken for unequal ones.
+    /// Growth of a pixel's variance with its signal, DN: brighter pixels are not mistaken for unequal ones.
     pub gain: f64,
     pub(super) full_scale_dn: u16,
     pub(super) pairs: Covariance,
 }
 
 impl Layout {
-    /// For frames of the shape of `used` (rows, columns).
+    /// Creates the layout of frames of the shape of `used` (rows, columns).
     pub fn new(used: &Array2<bool>, full_scale_dn: u16) -> Self {
         let mask: Vec<f32> = used.iter().map(|u| f32::from(*u)).collect();
         let line = |axis: usize| -> Vec<f32> {
@@ -46,19 +46,20 @@ impl Layout {
             full_scale_dn,
             pairs: Covariance::new(used.dim()),
         };
-        // Pairs of pixels that count are the products of the mask.
+        // Products of the mask count the pairs of pixels in use.
         let mut pairs = Covariance::new(used.dim());
         (0..layout.shape.0).for_each(|y| pairs.add_row(y, &layout.mask));
         layout.pairs = pairs;
         layout
     }
 
-    /// Columns.
+    /// Number of columns.
     pub fn columns(&self) -> usize {
         self.shape.1
     }
 
-    /// Every run of pixels of a row that lies within one block: their places, how many of them count, and the block.
+    /// Calls `act` for every run of pixels of a row within one block, with their places, the number in use,
+    /// and the block.
     pub fn runs(&self, mut act: impl FnMut(std::ops::Range<usize>, f64, (usize, usize))) {
         let (rows, columns) = self.shape;
         for y in 0..rows {

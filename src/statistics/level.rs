@@ -4,52 +4,52 @@ use super::moments::{Moments, SizeMismatch};
 use crate::number::finite;
 use serde::{Deserialize, Serialize};
 
-/// One pair of frames, as the paper takes them.
+/// Pair of frames, as in the paper.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pair {
     /// Mean over both frames, DN (eq. 37).
     pub mean_dn: f64,
     /// Variance of the noise, DN^2 (eq. 38).
     pub var_dn2: f64,
-    /// Mean of the first frame less that of the second, DN.
+    /// Mean of the first frame minus that of the second, DN.
     #[serde(default)]
     pub difference_dn: f64,
 }
 
-/// What a set says.
+/// Statistics of a set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Level {
-    /// Frames.
+    /// Number of frames.
     pub frames: u64,
-    /// Pixels used: those that are not clipped in every frame.
+    /// Number of pixels used: those that are not clipped in every frame.
     pub pixels: u64,
     /// Mean over pixels and frames, DN.
     pub mean_dn: f64,
-    /// Temporal variance pooled over pixels, DN^2, after each frame's own mean is taken off.
+    /// Temporal variance pooled over pixels, DN^2, after subtraction of each frame's own mean.
     ///
     /// For two frames it is eq. (38); for n it is the residual mean square of the two-way layout (pixel and
-    /// frame), with (n - 1)(M - 1) degrees of freedom. A lamp that flickers does not enter it.
+    /// frame), with (n - 1)(M - 1) degrees of freedom. Lamp flicker does not enter.
     pub var_dn2: f64,
     /// Variance of the pixels' true means over the field, DN^2: shading, K, dark current.
     pub spatial_var_dn2: f64,
-    /// Variance of the frames' means, DN^2: what the light does from frame to frame, and the noise.
+    /// Variance of the frame means, DN^2: fluctuation of the light from frame to frame, and noise.
     pub frame_mean_var_dn2: f64,
-    /// Share of the samples at the largest code, without pixels that are there in every frame.
+    /// Share of the samples at the largest code, excluding pixels that are there in every frame.
     pub saturated: f64,
-    /// Share of the samples at code 0, without pixels that are there in every frame.
+    /// Share of the samples at code 0, excluding pixels that are there in every frame.
     pub black: f64,
-    /// Share of the pixels left out because every frame has them at the largest code or at 0.
+    /// Share of the pixels excluded because they are at the largest code or at 0 in every frame.
     pub stuck: f64,
-    /// Frames 0 and 1, 2 and 3, and so on.
+    /// Pairs of frames 0 and 1, 2 and 3, and so on.
     pub pairs: Vec<Pair>,
-    /// Pixels left out by the mask.
+    /// Number of pixels excluded by the mask.
     #[serde(default)]
     pub masked: u64,
-    /// Single samples that stood far off the same pixel in other frames, and were replaced by its usual code.
+    /// Number of samples far off the same pixel in other frames, replaced by the pixel's usual code.
     #[serde(default)]
     pub struck: u64,
-    /// Mean over the pixels of the square of their variances, without the scatter of few frames of normal
-    /// noise, DN^4: above [`var_dn2`](Self::var_dn2) squared where pixels differ in noise.
+    /// Mean over the pixels of their squared variances, corrected for the scatter of few frames of normal
+    /// noise, DN^4: above [`var_dn2`](Self::var_dn2) squared if pixels differ in noise.
     #[serde(default = "nan", with = "finite")]
     pub square_dn4: f64,
 }
@@ -65,7 +65,7 @@ impl Level {
     }
 }
 
-/// Collects a set frame by frame; memory does not grow with the frames.
+/// Accumulator of a set, frame by frame; memory does not grow with the number of frames.
 #[derive(Debug, Clone)]
 pub struct LevelAccumulator {
     full_scale: u16,
@@ -75,18 +75,18 @@ pub struct LevelAccumulator {
     black: u64,
     previous: Option<Vec<u16>>,
     pairs: Vec<Pair>,
-    /// Pixels that do not count, in rising order.
+    /// Masked pixels, ascending.
     masked: Vec<usize>,
 }
 
 impl LevelAccumulator {
-    /// The same without some pixels: their places row by row, in rising order.
+    /// Excludes some pixels, given by their places row by row, ascending.
     pub fn without(mut self, masked: Vec<usize>) -> Self {
         self.masked = masked;
         self
     }
 
-    /// For frames of (rows, columns) from a camera of so many bits.
+    /// Creates an accumulator for frames of (rows, columns) from a camera of `bit_depth` bits.
     pub fn new(shape: (usize, usize), bit_depth: u8) -> Self {
         Self {
             full_scale: ((1u32 << bit_depth.min(16)) - 1) as u16,
@@ -100,7 +100,7 @@ impl LevelAccumulator {
         }
     }
 
-    /// Forgets every frame and keeps the memory, for the next set.
+    /// Discards all frames but keeps the memory for the next set.
     pub fn reset(&mut self) {
         self.moments.reset();
         self.frame_sums.clear();
@@ -108,16 +108,16 @@ impl LevelAccumulator {
         (self.saturated, self.black, self.previous) = (0, 0, None);
     }
 
-    /// Adds frames in the order of time, codes in DN row by row.
+    /// Adds frames in order of time, codes in DN row by row.
     ///
     /// # Errors
     ///
-    /// Where the frames differ in size.
+    /// If the frames differ in size.
     pub fn add(&mut self, frames: &[&[u16]]) -> Result<(), SizeMismatch> {
         self.moments.add(frames)?;
         for frame in frames {
             let (mut sum, mut saturated, mut black) = (0u64, 0u64, 0u64);
-            // Rows of 4096: their counts fit into 16 bits and vectorise.
+            // Chunks of 4096: their counts fit into 16 bits and vectorise.
             for part in frame.chunks(4096) {
                 sum += u64::from(part.iter().map(|&x| u32::from(x)).sum::<u32>());
                 saturated += u64::from(part.iter().map(|&x| u16::from(x >= self.full_scale)).sum::<u16>());
@@ -139,8 +139,8 @@ impl LevelAccumulator {
         Ok(())
     }
 
-    /// The level; `None` before the first frame. With one frame, or with every pixel clipped, the variance is
-    /// NaN.
+    /// Computes the level; `None` before the first frame. With one frame, or with every pixel clipped, the
+    /// variance is NaN.
     pub fn finish(&self) -> Option<Level> {
         let frames = self.moments.frames();
         let n = frames as f64;
@@ -148,7 +148,7 @@ impl LevelAccumulator {
         let all = self.moments.sums();
         let without = self.masked_and_jumping();
         let masked = all.len().min(without.len());
-        // Runs between the pixels that do not count.
+        // Runs between the excluded pixels.
         let ends = without.iter().copied().chain([all.len()]);
         let starts = std::iter::once(0).chain(without.iter().map(|i| i + 1));
         let sums = || starts.clone().zip(ends.clone()).flat_map(|(from, to)| &all[from.min(to)..to]).copied();
@@ -162,7 +162,7 @@ impl LevelAccumulator {
         if frames < 2 || pixels < 2 {
             let samples = n * counted as f64;
             let mean_dn = sums().sum::<u64>() as f64 / samples;
-            // Of one frame the noise is in it.
+            // The spatial variance of one frame includes the noise.
             let between = sums().map(|s| (s as f64 / n - mean_dn).powi(2)).sum::<f64>();
             return Some(Level {
                 frames,
@@ -182,7 +182,7 @@ impl LevelAccumulator {
         }
         let m = pixels as f64;
         let samples = n * m;
-        // Stuck pixels do not vary: they leave the frame sums by a constant.
+        // Stuck pixels do not vary: they contribute a constant to the frame sums.
         let jumping_dn: f64 = {
             let sum = |pixels: &[usize]| pixels.iter().filter_map(|&i| all.get(i)).sum::<u64>() as f64;
             (sum(&without) - sum(&self.masked)) / n
@@ -214,13 +214,13 @@ impl LevelAccumulator {
     }
 }
 
-/// Variance of a pixel over that of all, in standard errors of the latter as a sum over the pixels, from
-/// which on the pixel alone decides it; and the least ratio, which noisy pixels reach (named choices).
+/// Minimum variance of a jumping pixel over the mean variance: in standard errors of the sum over the pixels,
+/// so that the pixel alone dominates it; and as a ratio, since noisy pixels reach lower ones (named choices).
 const DECIDES: f64 = 3.0;
 const MIN_JUMP: f64 = 100.0;
 
 impl LevelAccumulator {
-    /// Pixels that do not count, with those that jump from one level to another in the set (traps,
+    /// Returns the masked pixels and those that jump from one level to another in the set (traps,
     /// after-effects of a ray): one of a million that moves by half the range doubles the variance of a dark.
     fn masked_and_jumping(&self) -> Vec<usize> {
         let (n, pixels) = (self.moments.frames() as f64, self.moments.sums().len());
@@ -230,7 +230,7 @@ impl LevelAccumulator {
         if n < 2.0 || counted < 2.0 {
             return out;
         }
-        // The variance falls with each found, and shows more of them.
+        // The variance falls with each pixel found, which reveals more of them.
         let mut left = self.moments.total_spread_dn2() - of_masked;
         let limit = (DECIDES * (2.0 * counted / (n - 1.0)).sqrt()).max(MIN_JUMP);
         for _ in 0..3 {
@@ -248,7 +248,8 @@ impl LevelAccumulator {
         out
     }
 
-    /// E s^4 = sigma^4 (1 + 2 / (n - 1)) for the variance s^2 of n normal numbers.
+    /// Computes the mean squared variance, with E s^4 = sigma^4 (1 + 2 / (n - 1)) for the variance s^2 of n
+    /// normal numbers.
     fn square_dn4(&self, without: &[usize]) -> f64 {
         let n = self.moments.frames() as f64;
         let square = |i: usize| (self.moments.spread_dn2(i) / (n * (n - 1.0))).powi(2);
@@ -259,7 +260,7 @@ impl LevelAccumulator {
     }
 }
 
-/// Eq. (37) and (38) for two frames, without some pixels.
+/// Computes eq. (37) and (38) for two frames, without masked pixels.
 fn pair(first: &[u16], second: &[u16], masked: &[usize]) -> Pair {
     let (mut sum, mut difference, mut square) = (0u64, 0i64, 0u64);
     for (&a, &b) in first.iter().zip(second) {
@@ -293,7 +294,7 @@ mod tests {
         PixelRng::new(5, Stream::Frame, frame, pixel, 9).normal()
     }
 
-    /// Two frames give eq. (38); flicker and a stuck pixel change nothing but their own figures.
+    /// Two frames give eq. (38); flicker and a stuck pixel change only their own figures.
     #[test]
     fn two_frames_give_the_pair_of_the_paper() {
         let frame = |f: u64, light: f64| -> Vec<u16> {
@@ -318,8 +319,8 @@ mod tests {
         assert!((other.frame_mean_var_dn2 - 37.0f64.powi(2) / 2.0).abs() < 20.0);
     }
 
-    /// A pixel of 40 000 that jumps by 3000 DN in the middle of a set would add 80 DN^2 to 64: without it the
-    /// variance is that of the others to 0.1 %; a pixel with ten times the noise stays in.
+    /// A pixel of 40 000 that jumps by 3000 DN in the middle of a set would add 80 DN^2 to 64. Without it the
+    /// variance agrees with that of the others to 0.1 %; a pixel with ten times the noise is kept.
     #[test]
     fn a_pixel_that_jumps_does_not_decide() {
         let frame = |f: u64, jump: f64, noisy: f64| -> Vec<u16> {

@@ -3,18 +3,18 @@
 use super::layout::Layout;
 use super::quadratic::Quadratic;
 
-/// Squares of the deviations of row means and of column means.
+/// Sums of squared deviations of row means and of column means.
 #[derive(Debug, Clone)]
 pub struct Lines {
     rows: f64,
     columns: f64,
-    /// Means of the rows, and sums of the columns, of the image at hand.
+    /// Row means and column sums of the current image.
     row_means: Vec<f32>,
     column_sums: Vec<f32>,
 }
 
 impl Lines {
-    /// For frames of (rows, columns).
+    /// Creates an accumulator for frames of (rows, columns).
     pub fn new((rows, columns): (usize, usize)) -> Self {
         Self { rows: 0.0, columns: 0.0, row_means: vec![0.0; rows], column_sums: vec![0.0; columns] }
     }
@@ -25,12 +25,12 @@ impl Lines {
         [self.rows / dof / lines(&layout.row_pixels), self.columns / dof / lines(&layout.column_pixels)]
     }
 
-    /// Mean of every row of the last image that was complete.
+    /// Mean of every row of the last complete image.
     pub fn row_means(&self) -> &[f32] {
         &self.row_means
     }
 
-    /// Mean of every column of the last image that was complete.
+    /// Mean of every column of the last complete image.
     pub fn column_means<'a>(&'a self, layout: &'a Layout) -> impl ExactSizeIterator<Item = f32> + 'a {
         self.column_sums.iter().zip(&layout.column_pixels).map(|(s, n)| s / n.max(1.0))
     }

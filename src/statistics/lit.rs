@@ -1,40 +1,40 @@
-//! Pixels that no light reaches: outside the image circle of a lens, optically black columns, overscan.
+//! Unlit pixels: outside the image circle of a lens, optically black columns, overscan.
 
 use super::median::{MAD_OF_NORMAL, median};
 use ndarray::{Array2, Axis, s};
 
-/// Share of the light's level below which a pixel gets no light: lenses fall to a tenth in their corners at worst
-/// (a named choice).
+/// Minimum signal of a lit pixel, as a share of the light level: lenses fall to a tenth in their corners at
+/// worst (a named choice).
 const MIN_LIGHT: f32 = 0.05;
-/// Side of the blocks whose medians tell the light's level, pixels: a block is no single pixel, and no dead one.
+/// Side of the blocks whose medians give the light level, pixels: single and dead pixels have no influence.
 const BLOCK: usize = 8;
-/// Part of the blocks that may be brighter than the light's level: glints on the card.
+/// Share of the blocks that may exceed the light level: glints on the card.
 const BRIGHTER_BLOCKS: f64 = 0.05;
-/// Least level of the light over that of the brightest block, for circles that light few blocks.
+/// Minimum light level over that of the brightest block, for circles that light few blocks.
 const MIN_LEVEL: f32 = 0.2;
-/// Pixels around, in each direction, of which half get no light where a pixel is blind.
+/// Neighbourhood, in pixels in each direction, of which half is unlit around a blind pixel.
 const AROUND: usize = 2;
-/// Deviations of the response by which the rim of a blind region answers less.
+/// Minimum deficit of the response at the rim of a blind region, in standard deviations.
 const RIM_DEVIATIONS: f64 = 5.0;
 
-/// Pixels with light, and those without among others without.
+/// Lit pixels, and blind pixels: unlit ones among other unlit ones.
 #[derive(Debug, Clone)]
 pub struct Lit {
-    /// True for pixels that get light, (rows, columns).
+    /// True for lit pixels, (rows, columns).
     pub lit: Array2<bool>,
-    /// True for pixels that get none, as most around them.
+    /// True for unlit pixels in a mostly unlit neighbourhood.
     pub blind: Array2<bool>,
-    /// Level of the light, DN.
+    /// Light level, DN.
     pub level_dn: f32,
 }
 
 impl Lit {
-    /// Of flats of one size, dark reference taken off, DN.
+    /// Finds lit and blind pixels from flats of one size, dark reference subtracted, DN.
     pub fn of(images: &[Array2<f32>]) -> Self {
         Self::above(images, MIN_LIGHT)
     }
 
-    /// Finds them by another share of the light's level.
+    /// Finds lit and blind pixels with another minimum share of the light level.
     pub fn above(images: &[Array2<f32>], min_light: f32) -> Self {
         let Some(first) = images.first() else {
             let none = || Array2::default((0, 0));
@@ -63,8 +63,8 @@ impl Lit {
         Self { lit, blind, level_dn: level }
     }
 
-    /// Counts the rim of what is blind to it: pixels beside blind ones that answer by more than so many
-    /// deviations less than the others, as `response` (1 where the light is even) says, again and again.
+    /// Extends the blind region by its rim, iteratively: neighbours of blind pixels that are unlit, or whose
+    /// `response` (1 for even light) is below that of the others by more than `RIM_DEVIATIONS`.
     pub fn with_rim(mut self, response: &Array2<f32>) -> Self {
         let (rows, columns) = self.blind.dim();
         let off =
@@ -86,8 +86,8 @@ impl Lit {
         self
     }
 
-    /// First and one past the last of the rows and columns with light, where the blind pixels are whole rows and
-    /// columns at the edges; `None` of other shapes.
+    /// Returns the ranges of the lit rows and columns if the blind pixels are whole rows and columns at the
+    /// edges; `None` for other shapes.
     pub fn frame(&self) -> Option<[std::ops::Range<usize>; 2]> {
         let line = |axis: usize| {
             let whole: Vec<bool> = self.blind.axis_iter(Axis(axis)).map(|l| l.iter().all(|b| *b)).collect();
@@ -115,7 +115,7 @@ impl Lit {
 mod tests {
     use super::*;
 
-    /// A circle, a black reference, a dead column and a dead pixel: what lies among pixels without light is
+    /// A circle, a black reference, a dead column and a dead pixel: only unlit pixels among unlit ones are
     /// blind.
     #[test]
     fn blind_pixels_are_told_from_dead_ones() {
@@ -145,7 +145,7 @@ mod tests {
         assert_eq!(Lit::of(&[image]).frame(), None);
     }
 
-    /// A rim of a few pixels is blind too, and a dim pixel elsewhere is not.
+    /// A rim of a few pixels is blind too; a dim pixel elsewhere is not.
     #[test]
     fn the_rim_goes_with_the_circle() {
         let off = |y: usize, x: usize| (y as f32 - 31.5).hypot(x as f32 - 31.5);

@@ -1,17 +1,18 @@
 //! The median.
 
-/// Median of the absolute deviations of a normal distribution over its standard deviation.
+/// Median absolute deviation of a normal distribution over its standard deviation.
 pub const MAD_OF_NORMAL: f64 = 0.6745;
 
-/// Error of the median of normal numbers over that of their mean (Kenney and Keeping 1962, section 8.6).
+/// Standard error of the median of normal numbers over that of their mean (Kenney and Keeping 1962, section
+/// 8.6).
 pub const ERROR_OVER_MEAN: f64 = 1.25;
 
-/// Median of some values; NaN of none.
+/// Computes the median; NaN without values.
 pub fn median(values: impl Iterator<Item = f64>) -> f64 {
     median_of(&values.collect::<Vec<_>>(), &mut Vec::new())
 }
 
-/// Median of a list, by selection; `memory` is used again. NaN of an empty one.
+/// Computes the median of a list by selection, reusing `memory`. NaN for an empty list.
 pub fn median_of(values: &[f64], memory: &mut Vec<f64>) -> f64 {
     memory.clear();
     memory.extend_from_slice(values);

@@ -1,6 +1,7 @@
-//! What frames tell: streaming accumulators that can be merged, one observable to a file.
+//! Streaming, mergeable statistics of frames, one observable per file.
 //!
-//! [`pass::Pass`] runs all statistics of a set's noise in one pass; [`moments::Moments`] keeps mean and variance of every pixel.
+//! [`pass::Pass`] runs all statistics of a set's noise in one pass; [`moments::Moments`] keeps mean and
+//! variance of every pixel.
 
 pub mod code_step;
 pub(crate) mod correlated_frames;

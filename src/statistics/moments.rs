@@ -6,9 +6,9 @@
 use ndarray::Array2;
 use rayon::prelude::*;
 
-/// Pixels of a tile: its sums take 32 KiB.
+/// Pixels per tile; the sums of a tile take 32 KiB.
 const TILE: usize = 4096;
-/// Pixels that one thread takes at a time.
+/// Pixels per work item of a thread.
 const CHUNK: usize = 16 * TILE;
 
 /// Sums of a pixel's codes and of their squares, for every pixel.
@@ -21,18 +21,19 @@ pub struct Moments {
     bit_depth: u8,
 }
 
-/// Frames of different sizes were put together.
+/// Error: frames differ in size.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("a frame of {found} pixels, where {expected} were expected")]
 pub struct SizeMismatch {
     /// Pixels of the first frame.
     pub expected: usize,
-    /// Pixels of this one.
+    /// Pixels of the frame with another size.
     pub found: usize,
 }
 
 impl Moments {
-    /// For frames of (rows, columns) with codes of at most `bit_depth` bits. Larger codes give wrong sums.
+    /// Creates an accumulator for frames of (rows, columns) with codes of at most `bit_depth` bits. Larger
+    /// codes give wrong sums.
     pub fn new(shape: (usize, usize), bit_depth: u8) -> Self {
         let pixels = shape.0 * shape.1;
         let bit_depth = bit_depth.clamp(1, 16);
@@ -51,7 +52,7 @@ impl Moments {
     ///
     /// # Errors
     ///
-    /// Where they differ in size.
+    /// If the frames differ in size.
     pub fn add(&mut self, frames: &[&[u16]]) -> Result<(), SizeMismatch> {
         let expected = self.sum.len();
         if let Some(wrong) = frames.iter().find(|f| f.len() != expected) {
@@ -68,11 +69,11 @@ impl Moments {
         Ok(())
     }
 
-    /// Adds what another accumulator saw.
+    /// Merges another accumulator.
     ///
     /// # Errors
     ///
-    /// Where they differ in size.
+    /// If the frames differ in size.
     pub fn merge(&mut self, other: &Self) -> Result<(), SizeMismatch> {
         if self.sum.len() != other.sum.len() {
             return Err(SizeMismatch { expected: self.sum.len(), found: other.sum.len() });
@@ -85,7 +86,7 @@ impl Moments {
         Ok(())
     }
 
-    /// Frames seen.
+    /// Number of frames added.
     pub fn frames(&self) -> u64 {
         self.frames
     }
@@ -95,7 +96,7 @@ impl Moments {
         &self.sum
     }
 
-    /// Forgets every frame and keeps the memory, for the next set.
+    /// Discards all frames but keeps the memory for the next set.
     pub fn reset(&mut self) {
         self.frames = 0;
         self.sum.fill(0);
@@ -118,7 +119,7 @@ impl Moments {
         out
     }
 
-    /// [`variance_dn2`](Self::variance_dn2) into memory that is there; another shape is replaced.
+    /// Writes [`variance_dn2`](Self::variance_dn2) into `out`, which is reallocated if its shape differs.
     pub fn variance_into(&self, out: &mut Array2<f64>) {
         let n = self.frames as f64;
         let scale = 1.0 / (n * (n - 1.0));
@@ -133,18 +134,18 @@ impl Moments {
         }
     }
 
-    /// Sum over all pixels of n times the squared deviation from the pixel's own mean, DN^2: exact but for
-    /// the last rounding.
+    /// n times the sum of squared deviations from each pixel's mean, summed over all pixels, DN^2: exact
+    /// except for the final rounding.
     pub fn total_spread_dn2(&self) -> f64 {
         self.sum.iter().zip(&self.square).map(|(&s, &q)| self.spread(s, q)).sum()
     }
 
-    /// The same of one pixel, DN^2.
+    /// n times the sum of squared deviations of one pixel from its mean, DN^2.
     pub fn spread_dn2(&self, pixel: usize) -> f64 {
         self.spread(self.sum[pixel], self.square[pixel])
     }
 
-    /// n sum x^2 - (sum x)^2, whose terms can pass 64 bits.
+    /// Computes n sum x^2 - (sum x)^2 in 128 bits, since its terms can exceed 64 bits.
     fn spread(&self, s: u64, q: u64) -> f64 {
         (u128::from(self.frames) * u128::from(q)).saturating_sub(u128::from(s) * u128::from(s)) as f64
     }
@@ -164,18 +165,19 @@ impl Moments {
     }
 }
 
-/// Some pixels of all frames: the piece of work that one thread takes.
+/// Range of pixels of all frames: work item of one thread.
 struct Chunk<'a> {
     frames: &'a [&'a [u16]],
     from: usize,
     sum: &'a mut [u64],
     square: &'a mut [u64],
     bit_depth: u8,
-    /// Nothing is there yet: new memory is written without being read, which would make the system hand out every page twice.
+    /// True if the sums are still empty. New memory is written without being read: reading it first would
+    /// make the system hand out every page twice.
     first: bool,
 }
 
-/// Frames between two additions to the 64-bit sums.
+/// Frames summed in 32 bits between two additions to the 64-bit sums.
 const BATCH: usize = 64;
 
 impl pulp::NullaryFnOnce for Chunk<'_> {
@@ -184,7 +186,7 @@ impl pulp::NullaryFnOnce for Chunk<'_> {
     #[inline(always)]
     fn call(self) {
         let Self { frames, from, sum, square, bit_depth, first } = self;
-        // Sums, squares and, where the squares of a batch could pass 32 bits, their upper halves by themselves.
+        // Sums, squares and, if the squares of a batch could exceed 32 bits, their upper halves separately.
         let (mut sums, mut squares, mut uppers) = ([0u32; TILE], [0u32; TILE], [0u32; TILE]);
         let wide = (BATCH as u64) << (2 * bit_depth) > 1 << 32;
         for (tile, (sum, square)) in sum.chunks_mut(TILE).zip(square.chunks_mut(TILE)).enumerate() {
@@ -194,7 +196,7 @@ impl pulp::NullaryFnOnce for Chunk<'_> {
             for (number, batch) in frames.chunks(BATCH).enumerate() {
                 sums.fill(0);
                 squares.fill(0);
-                // Four frames at once: a quarter of the trips to the sums. What is missing to four is zero.
+                // Four frames at once need a quarter of the accesses to the sums. Missing frames are zero.
                 for four in batch.chunks(4) {
                     let [a, b, c, d] = std::array::from_fn(|i| match four.get(i) {
                         Some(frame) => &frame[from..from + n],
@@ -230,7 +232,7 @@ impl pulp::NullaryFnOnce for Chunk<'_> {
 
 static ZEROS: [u16; TILE] = [0; TILE];
 
-/// Up to 13 bits, 64 frames: their squares fit into 32 bits together.
+/// Adds frames of up to 13 bits: the squares of 64 frames fit into 32 bits.
 #[inline(always)]
 fn add_narrow(sums: &mut [u32], squares: &mut [u32], [a, b, c, d]: [&[u16]; 4]) {
     let pixels = a.iter().zip(b).zip(c.iter().zip(d));
@@ -241,7 +243,7 @@ fn add_narrow(sums: &mut [u32], squares: &mut [u32], [a, b, c, d]: [&[u16]; 4]) 
     }
 }
 
-/// Any depth: both halves of each square are summed by themselves.
+/// Adds frames of any depth: both halves of each square are summed separately.
 #[inline(always)]
 fn add_wide(sums: &mut [u32], squares: &mut [u32], uppers: &mut [u32], [a, b, c, d]: [&[u16]; 4]) {
     let pixels = a.iter().zip(b).zip(c.iter().zip(d));
@@ -280,7 +282,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any split gives the same bits, and the two-pass formula the same value to rounding.
+        /// Any split gives the same bits; the two-pass formula gives the same value to rounding.
         #[test]
         fn any_split_gives_the_same(
             frames in prop::collection::vec(prop::collection::vec(any::<u16>(), 12), 2..12),

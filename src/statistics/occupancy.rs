@@ -1,4 +1,4 @@
-//! How often each code occurs.
+//! Histogram of codes.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,15 +7,16 @@ use serde::{Deserialize, Serialize};
 pub struct Occupancy(pub Vec<u64>);
 
 impl Occupancy {
-    /// For codes up to a full scale, DN.
+    /// Creates an empty histogram for codes up to a full scale, DN.
     pub fn new(full_scale_dn: u16) -> Self {
         Self(vec![0; usize::from(full_scale_dn) + 1])
     }
 
-    /// Adds codes; what lies above full scale counts as full scale.
+    /// Adds codes; codes above full scale count as full scale.
     pub fn add(&mut self, codes: &[u16]) {
         let n = self.0.len();
-        // Neighbours are often alike, and a count waits for the one before it: four tables.
+        // Neighbouring codes are often equal, and an increment waits for the one before: four tables avoid
+        // this.
         let mut tables = vec![0u32; 4 * n];
         let last = (n - 1) as u16;
         let (a, rest) = tables.split_at_mut(n);
@@ -36,13 +37,13 @@ impl Occupancy {
             .for_each(|(sum, ((a, b), (c, d)))| *sum += u64::from(*a + *b + *c + *d));
     }
 
-    /// Takes off a code that was added.
+    /// Removes a code that was added.
     pub fn take_off(&mut self, code: u16) {
         let last = self.0.len() - 1;
         self.0[usize::from(code).min(last)] -= 1;
     }
 
-    /// Adds what another saw.
+    /// Merges the counts of another.
     pub fn merge(&mut self, other: &Self) {
         self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a += b);
     }

@@ -1,5 +1,5 @@
-//! Frames and samples that are no part of a campaign: a flash, someone in the light, a cosmic ray. They are left out and reported, and
-//! decide nothing.
+//! Outlier frames and samples: a flash, someone in the light, a cosmic ray. They are excluded and reported,
+//! and influence no result.
 
 use super::median::{MAD_OF_NORMAL, median};
 use ndarray::Array2;
@@ -8,35 +8,37 @@ use std::borrow::Borrow;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Cells along each side of a frame whose means are looked at.
+/// Cells along each side of a frame.
 const CELLS: usize = 6;
-/// A frame's deviation over what frames of the campaign usually have, from which on it is left out: chance has none of it, and what an
-/// effect does to frames it does to more than a few.
+/// Minimum deviation of an excluded frame, over the usual deviation of frames of the campaign: never reached
+/// by chance, and an effect shifts more than a few frames.
 const FAR: f64 = 12.0;
-/// A sample's deviation from the pixel's other frames over the noise, from which on it is replaced: chance has one in 10^15.
+/// Minimum deviation of a replaced sample from the pixel's other frames, over the noise: one in 10^15 by
+/// chance.
 const STRUCK: f32 = 8.0;
-/// The same for neighbours of one: charge of a ray spreads.
+/// Minimum deviation of a neighbour of a replaced sample, over the noise: charge of a ray spreads.
 const BESIDE: f32 = 4.0;
-/// The same over the noise of the pixel's own other frames, which five of them tell to a third.
+/// Minimum deviation over the noise of the pixel's own other frames, which five of them determine to a third.
 const OF_OWN: f32 = 4.0;
-/// Share of the pixels at the largest code from which on the noise is that of the largest ranges, and the factor
-/// that these may have lost there (named choices): of a pixel at full scale on average half of the noise is cut
-/// off.
+/// Share of the pixels at the largest code above which the noise is taken from the largest ranges, and the
+/// factor by which clipping may have reduced these (named choices): half of the noise of a pixel at full
+/// scale is cut off on average.
 const MANY_AT_TOP: f64 = 0.2;
 const CUT_RANGES: f32 = 2.0;
 /// Range of two to eight normal numbers that one in twenty exceeds, in standard deviations (Harter 1960).
 const FAR_RANGE: [f32; 7] = [2.77, 3.31, 3.63, 3.86, 4.03, 4.17, 4.29];
-/// Frames that are compared with each other.
+/// Maximum number of frames compared with each other.
 pub const BLOCK: usize = 8;
-/// Frames from which on they are compared.
+/// Minimum number of frames for a comparison.
 pub const FEWEST: usize = 3;
 
-/// Whether what a frame deviates by may be what the one before it carries over, dying away: of that the one before has more.
+/// Returns true if a frame's deviation may be decaying carry-over: the frame before deviates by at least half
+/// as much.
 pub fn dies_away(before_dn: f64, own_dn: f64) -> bool {
     2.0 * before_dn.abs() >= own_dn.abs()
 }
 
-/// Mean of a frame as [`Apart::mean_dn`] has it, DN.
+/// Computes the mean of a frame as for [`Apart::mean_dn`], DN.
 pub fn mean_dn(frame: &Array2<u16>) -> f64 {
     mean_of(&cell_means(frame))
 }
@@ -45,31 +47,30 @@ fn mean_of(cells: &[f64]) -> f64 {
     cells.iter().sum::<f64>() / cells.len().max(1) as f64
 }
 
-/// How far frames lie from those around them.
+/// Deviations of frames from the others of their block.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Apart {
-    /// Deviation of each frame's mean from the median of the block's, DN.
+    /// Deviation of each frame's mean from the median of the block, DN.
     pub mean_dn: Vec<f64>,
-    /// Largest deviation of a cell's mean, the frame's mean taken off, DN.
+    /// Largest deviation of a cell's mean in each frame, the frame's mean subtracted, DN.
     pub cell_dn: Vec<f64>,
     /// Median of the frames' means, DN.
     pub level_dn: f64,
 }
 
 impl Apart {
-    /// Usual deviation of the means within the block itself, as a standard deviation, DN; NaN for an empty
-    /// one.
+    /// Robust standard deviation of the frame means within the block, DN; NaN for an empty block.
     pub fn usual_mean_dn(&self) -> f64 {
         median(self.mean_dn.iter().map(|m| m.abs())) / MAD_OF_NORMAL
     }
 
-    /// Usual deviation of the cells within the block itself, DN; NaN for an empty one.
+    /// Median deviation of the cells within the block, DN; NaN for an empty block.
     fn usual_cell_dn(&self) -> f64 {
         median(self.cell_dn.iter().copied())
     }
 }
 
-/// Compares the frames of a block; nothing for fewer than three.
+/// Compares the frames of a block; empty for fewer than three frames.
 pub fn apart<F: Borrow<Array2<u16>>>(block: &[F]) -> Apart {
     let Some(first) = block.first().map(F::borrow).filter(|_| block.len() >= FEWEST) else {
         return Apart::default();
@@ -79,7 +80,7 @@ pub fn apart<F: Borrow<Array2<u16>>>(block: &[F]) -> Apart {
     apart_of(&cells, rows >= 2 * CELLS && columns >= 2 * CELLS)
 }
 
-/// Compares frames by their [`cell_means`]; `large`: whether the cells have several pixels.
+/// Compares frames by their [`cell_means`]; `large`: true if the cells have several pixels.
 pub fn apart_of(cells: &[Vec<f64>], large: bool) -> Apart {
     if cells.len() < FEWEST {
         return Apart::default();
@@ -104,7 +105,7 @@ pub fn apart_of(cells: &[Vec<f64>], large: bool) -> Apart {
     }
 }
 
-/// Means of the cells of a frame, DN.
+/// Computes the means of the cells of a frame, DN.
 pub fn cell_means(frame: &Array2<u16>) -> Vec<f64> {
     let (rows, columns) = frame.dim();
     let mut sums = vec![0u64; CELLS * CELLS];
@@ -125,8 +126,8 @@ pub fn cell_means(frame: &Array2<u16>) -> Vec<f64> {
     all
 }
 
-/// Half the variance of the difference of two frames in each cell of [`cell_means`], DN^2, the means of the
-/// cell's rows and columns taken off.
+/// Computes half the variance of the difference of two frames in each cell of [`cell_means`], DN^2, with the
+/// means of the cell's rows and columns subtracted.
 pub fn cell_variances(a: &Array2<u16>, b: &Array2<u16>) -> Vec<f64> {
     let (rows, columns) = a.dim();
     let (height, width) = (rows.div_ceil(CELLS).max(1), columns.div_ceil(CELLS).max(1));
@@ -154,20 +155,21 @@ pub fn cell_variances(a: &Array2<u16>, b: &Array2<u16>) -> Vec<f64> {
     cells.filter(|(ys, xs)| ys.len() > 1 && xs.len() > 1).map(variance).collect()
 }
 
-/// What frames of a campaign usually have.
+/// Usual scatter of the frames of a campaign.
 #[derive(Debug, Clone, Copy)]
 pub struct Usual {
     /// Relative scatter of the means of flats.
     flat_rel: f64,
     /// Scatter of the means of darks, DN.
     dark_dn: f64,
-    /// Deviation of cells in flats, over the root of the level; in darks, DN.
+    /// Deviation of cells: in flats, over the root of the level; in darks, DN.
     flat_cell: f64,
     dark_cell_dn: f64,
 }
 
 impl Usual {
-    /// From blocks of frames, darks and flats; `zero_dn`: level of the darks.
+    /// Estimates the scatter from blocks of frames, each with a flag for darks; `zero_dn`: level of the
+    /// darks.
     pub fn of(blocks: &[(bool, Apart)], zero_dn: f64) -> Self {
         let over = |dark: bool, of: &dyn Fn(&Apart, f64) -> Vec<f64>| {
             let all = blocks.iter().filter(|b| b.0 == dark).flat_map(|b| {
@@ -177,7 +179,7 @@ impl Usual {
             let middle = median(all);
             if middle.is_finite() { middle } else { f64::INFINITY }
         };
-        // The first two frames of a set may carry what came before.
+        // The first two frames of a set may contain memory of earlier frames.
         let means = |a: &Apart| a.mean_dn.iter().skip(2).map(|m| m.abs()).collect::<Vec<_>>();
         let cells = |a: &Apart| a.cell_dn.iter().skip(2).copied().collect::<Vec<_>>();
         let scaled = |all: Vec<f64>, by: f64| all.into_iter().map(|v| v / by).collect::<Vec<_>>();
@@ -189,63 +191,63 @@ impl Usual {
         }
     }
 
-    /// All of it, to be told from another.
+    /// All values, for comparison with another instance.
     pub fn numbers(&self) -> [f64; 4] {
         [self.flat_rel, self.dark_dn, self.flat_cell, self.dark_cell_dn]
     }
 
-    /// Deviation of a cell from which on a frame of a set lies far from the others, DN; `above`: its level
-    /// above the darks, DN.
+    /// Computes the minimum deviation of a cell for a frame to be an outlier of its set, DN; `above`: level
+    /// of the frame above the darks, DN.
     pub fn far_cell_dn(&self, of_set: &Apart, dark: bool, above: f64) -> f64 {
         let of_dark = if self.dark_cell_dn.is_finite() { self.dark_cell_dn } else { 0.0 };
         let cell = if dark { self.dark_cell_dn } else { (self.flat_cell * above.sqrt()).hypot(of_dark) };
         0.5 * FAR * cell.max(of_set.usual_cell_dn()).max(0.05)
     }
 
-    /// Places of frames in a block that lie far from the others; `of_set`: frames of its set; `start`: place
-    /// of its first frame in the set.
+    /// Returns the places of outlier frames in a block; `of_set`: frames of its set; `start`: place of the
+    /// first frame of the block in the set.
     pub fn outliers(&self, a: &Apart, of_set: &Apart, dark: bool, start: usize, zero_dn: f64) -> Vec<usize> {
         let above = (a.level_dn - zero_dn).max(1.0);
         let (mean, cell) = if dark {
             (self.dark_dn, self.dark_cell_dn)
         } else {
-            // Dim flats have the darks' scatter as well.
+            // Dim flats have the scatter of darks as well.
             let dark = |v: f64| if v.is_finite() { v } else { 0.0 };
             (
                 (self.flat_rel * above).hypot(dark(self.dark_dn)),
                 (self.flat_cell * above.sqrt()).hypot(dark(self.dark_cell_dn)),
             )
         };
-        // Scatter that frames of this set usually have is no flash: light bands and flicker that other
-        // exposures average out.
+        // The usual scatter of this set is no flash: light bands and flicker that other exposures average
+        // out.
         let mean = mean.max(a.usual_mean_dn()).max(of_set.usual_mean_dn());
         let cell = cell.max(a.usual_cell_dn()).max(of_set.usual_cell_dn());
-        // Rounding to whole codes alone moves a mean by some hundredths.
+        // Rounding to whole codes alone moves a mean by a few hundredths.
         let (mean, cell) = (mean.max(0.02), cell.max(0.05));
         let far = |i: &usize| {
             let by_cell = a.cell_dn.get(*i).is_some_and(|c| *c > 0.5 * FAR * cell);
             a.mean_dn[*i].abs() > FAR * mean || by_cell
         };
-        // The first frame of a set may carry what came before.
+        // The first frame of a set may contain memory of earlier frames.
         (0..a.mean_dn.len()).skip(usize::from(start == 0)).filter(far).collect()
     }
 }
 
-/// A sample that stands far off the same pixel in the other frames of a block.
+/// Sample that lies far off the same pixel in the other frames of a block.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Struck {
-    /// Its frame in the block.
+    /// Place of its frame in the block.
     pub frame: usize,
-    /// Its pixel.
+    /// Place of its pixel.
     pub pixel: usize,
     /// Usual code of the pixel.
     pub usual_dn: u16,
-    /// Whether it is the centre, and not a neighbour that has part of the charge.
+    /// True for the centre; false for a neighbour that has part of the charge.
     pub centre: bool,
 }
 
-/// Samples that stand far above or below the same pixel in the block's other frames: cosmic rays, and bits that a
-/// link turned over. Of two frames the one that stands off its neighbours too.
+/// Finds samples far above or below the same pixel in the block's other frames: cosmic rays, and bit errors
+/// of a link. Of two frames the one that also differs from its neighbours is chosen.
 pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
     let n = block.len();
     let frames: Vec<&[u16]> = block.iter().filter_map(|f| f.borrow().as_slice()).collect();
@@ -263,13 +265,13 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
         }
     }
     let others = |i: usize, extreme: u16| (sum[i] - u32::from(extreme)) as f32 / (n - 1) as f32;
-    // The largest of n normal numbers lies some 1.3 to 1.5 deviations above the mean of the others, for 3 to 8 of
-    // them, and hardly scatters by its median over the pixels; of two it lies 0.95 above the other.
+    // The largest of n normal numbers lies about 1.3 to 1.5 deviations above the mean of the others, for n =
+    // 3 to 8; the median over the pixels hardly scatters. For n = 2 it lies 0.95 above the other.
     let sample = || (0..pixels).step_by((pixels / 4096).max(1));
     let usual = median(sample().map(|i| f64::from(f32::from(most[i]) - others(i, most[i])))) as f32;
     let level = median(sample().map(|i| f64::from(others(i, most[i])))) as f32;
     let usual = usual / if n < 3 { 0.95 } else { 1.4 };
-    // Samples at the largest code, full scale as a rule, have no noise to tell; pixels that reach it have a part.
+    // Samples at the largest code, usually full scale, show no noise; pixels that reach it show a part.
     let top = most.iter().copied().max().unwrap_or(0);
     let at_top = sample().filter(|i| most[*i] == top).count() as f64;
     let usual = if at_top > MANY_AT_TOP * sample().count() as f64 {
@@ -280,12 +282,12 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
     } else {
         usual
     };
-    // Frames of narrow noise on coarse codes differ by whole steps, of three frames by several.
+    // Frames of narrow noise on coarse codes differ by whole steps, three frames by several.
     let ranges = (0..pixels).map(|i| most[i] - least[i]);
     let step_dn = f32::from(ranges.filter(|range| *range > 0).min().unwrap_or(1));
     let floor = step_dn * if n < 4 { 2.0 } else { 0.5 };
     let noise = usual.max(floor);
-    // Hot pixels have more shot noise: of the square root of their charge, which lies below their level in DN.
+    // Hot pixels have more shot noise: the square root of their charge, which lies below their level in DN.
     let limit = |level_dn: f32| {
         let more = (level_dn - level).max(0.0);
         noise * (1.0 + more / (noise * noise)).sqrt()
@@ -304,12 +306,12 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
         let usual_dn = usual_of(&frames, i, columns);
         let off = |f: usize| (f32::from(frames[f][i]) - f32::from(usual_dn)).abs();
         let of_frames = (0..n).filter(|&f| off(f) > STRUCK * limit(f32::from(usual_dn)));
-        // What half of the frames have is no chance.
+        // Deviations in half of the frames are not random hits.
         let hit: Vec<usize> = of_frames.collect();
         if 2 * hit.len() >= n && n > 2 {
             continue;
         }
-        // A pixel that is noisier than others has as much in its other frames.
+        // A noisy pixel has similar deviations in its other frames.
         let own = own_noise((0..n).filter(|f| !hit.contains(f)).map(|f| f32::from(frames[f][i])));
         for frame in hit.into_iter().filter(|&f| off(f) > OF_OWN * own) {
             out.push(Struck { frame, pixel: i, usual_dn, centre: true });
@@ -319,9 +321,10 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
     out
 }
 
-/// Standard deviation of some values by their range (Tippett 1925); 0 of fewer than five, which hardly tell it.
+/// Estimates the standard deviation of some values by their range (Tippett 1925); 0 for fewer than five,
+/// which hardly determine it.
 fn own_noise(values: impl Iterator<Item = f32>) -> f32 {
-    /// Mean range of 5 to 8 normal numbers in standard deviations.
+    /// Mean range of 5 to 8 normal numbers, in standard deviations.
     const RANGE: [f32; 4] = [2.326, 2.534, 2.704, 2.847];
     const FEWEST: usize = 5;
     let (mut n, mut least, mut most) = (0usize, f32::INFINITY, 0f32);
@@ -331,7 +334,7 @@ fn own_noise(values: impl Iterator<Item = f32>) -> f32 {
     if n < FEWEST { 0.0 } else { (most - least) / RANGE[(n - FEWEST).min(RANGE.len() - 1)] }
 }
 
-/// Neighbours that have part of a ray's charge.
+/// Finds neighbours that have part of a ray's charge.
 fn beside(
     frames: &[&[u16]],
     frame: usize,
@@ -345,7 +348,7 @@ fn beside(
     for yy in y.saturating_sub(1)..=(y + 1).min(rows - 1) {
         for xx in x.saturating_sub(1)..=(x + 1).min(columns - 1) {
             let at = yy * columns + xx;
-            // Not their mean: another of them may be struck there too.
+            // The median, not the mean: another frame may be struck there too.
             let mut rest: Vec<u16> = (0..n).filter(|g| *g != frame).map(|g| frames[g][at]).collect();
             rest.sort_unstable();
             let usual_dn = rest[(rest.len() - 1) / 2];
@@ -357,8 +360,8 @@ fn beside(
     }
 }
 
-/// Usual code of a pixel: the median over the frames; of two frames the code nearer to the median of the
-/// neighbours.
+/// Returns the usual code of a pixel: the median over the frames; for two frames, the code nearer to the
+/// median of the neighbours.
 fn usual_of(frames: &[&[u16]], pixel: usize, columns: usize) -> u16 {
     let mut own: Vec<u16> = frames.iter().map(|f| f[pixel]).collect();
     own.sort_unstable();
@@ -379,7 +382,7 @@ fn usual_of(frames: &[&[u16]], pixel: usize, columns: usize) -> u16 {
     own[(own.len() - 1) / 2]
 }
 
-/// Replaces the samples of [`struck`]; says which (frame, pixel) are centres.
+/// Replaces the samples of [`struck`]; returns the (frame, pixel) of the centres.
 pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
     let found = struck(block);
     for s in &found {
@@ -390,24 +393,24 @@ pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
     found.iter().filter(|s| s.centre).map(|s| (s.frame, s.pixel)).collect()
 }
 
-/// Frames of a block where `frames` are cut into blocks of nearly equal size: a last block of a single frame would
-/// have nothing to be compared with.
+/// Computes the block size that divides `frames` into blocks of nearly equal size: a last block of a single
+/// frame would have nothing to be compared with.
 pub fn block_size(frames: usize) -> usize {
     frames.div_ceil(frames.div_ceil(BLOCK).max(1)).max(1)
 }
 
-/// Rows of a set in blocks of [`block_size`].
+/// Divides the rows of a set into blocks of [`block_size`].
 pub fn blocks<T>(rows: &[T]) -> impl Iterator<Item = &[T]> {
     rows.chunks(block_size(rows.len()))
 }
 
-/// Words for `n` struck samples, shared by all commands.
+/// Formats the message about `n` struck samples, shared by all commands.
 pub fn in_words(n: u64) -> String {
     let (samples, stand) = if n == 1 { ("sample", "stands") } else { ("samples", "stand") };
     format!("{n} single {samples} {stand} far off the same pixel in other frames (cosmic rays, bit errors)")
 }
 
-/// A block without struck samples, where these are few enough to be chance, and their pixels.
+/// Returns a block with its struck samples replaced, if these are few enough to be random, and their pixels.
 pub fn without_struck(block: &[Arc<Array2<u16>>]) -> (Vec<Arc<Array2<u16>>>, Vec<usize>) {
     let found = struck(block);
     let pixels: Vec<usize> = found.iter().filter(|s| s.centre).map(|s| s.pixel).collect();
@@ -427,8 +430,8 @@ pub fn without_struck(block: &[Arc<Array2<u16>>]) -> (Vec<Arc<Array2<u16>>>, Vec
     (out, pixels)
 }
 
-/// Whether struck samples lie anywhere, as rays do, and not in the same pixels again, as pixels that blink do:
-/// of `n` samples in `pixels` pixels some hit a pixel again by chance.
+/// Returns true if struck samples lie at random, as rays do, and do not recur in the same pixels, as in
+/// pixels that blink. Of `n` samples in `pixels` pixels some hit a pixel again by chance.
 pub fn are_rays(hit: &[usize], samples: f64, pixels: f64) -> bool {
     let mut sorted = hit.to_vec();
     sorted.sort_unstable();
@@ -453,7 +456,7 @@ mod tests {
         (0..8).map(frame).collect()
     }
 
-    /// Frames of which more than half of the samples are at full scale: the noise of the others is no ray.
+    /// With more than half of the samples at full scale, the noise of the others is not taken for rays.
     #[test]
     fn noise_beside_full_scale_is_no_ray() {
         for full in [1000.0, 1020.0, 1030.0, 1045.0, 1065.0] {
@@ -473,13 +476,13 @@ mod tests {
         let mut hit = block(1);
         hit[3][(10, 20)] += 400;
         hit[3][(10, 21)] += 60;
-        // A bit that a link turned over, and two such in one pixel.
+        // A bit error of a link, and two in one pixel.
         (hit[5][(30, 30)], hit[1][(40, 7)], hit[6][(40, 7)]) = (0, 65535, 65535);
         let before = block(1);
         let found = take_struck(&mut hit);
         assert_eq!(found, [(3, 10 * 64 + 20), (5, 30 * 64 + 30), (1, 40 * 64 + 7), (6, 40 * 64 + 7)]);
         assert!(hit[5][(30, 30)].abs_diff(1030) < 40 && hit[1][(40, 7)].abs_diff(1007) < 40);
-        // Of two frames the one that differs from its neighbours.
+        // In a pair, the frame that differs from its neighbours.
         for seed in 0..20 {
             assert!(take_struck(&mut block(seed)[..2]).is_empty(), "seed {seed}");
         }
@@ -500,7 +503,7 @@ mod tests {
         let mut shadow = block(31);
         shadow[6].slice_mut(ndarray::s![..12, 40..]).mapv_inplace(|v| v - 20);
         assert_eq!(usual.outliers(&apart(&shadow), &Apart::default(), false, 8, 100.0), [6]);
-        // In the second frame of a set too, and never the first.
+        // Also in the second frame of a set, and never in the first.
         let mut second = block(32);
         second[1].mapv_inplace(|v| v + 12);
         assert_eq!(usual.outliers(&apart(&second), &Apart::default(), false, 0, 100.0), [1]);

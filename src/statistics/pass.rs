@@ -1,9 +1,10 @@
-//! One pass over the frames of a set: every statistic of its noise at once, in memory that does not depend on their number.
+//! Computes all noise statistics of a set in one pass, in memory independent of the number of frames.
 //!
-//! Each frame's mean is taken off, and each pixel's mean so far (Welford 1962): what is left, times the root of (n - 1) / n, are
-//! independent deviations whose products sum up to those about the final means. What two halves add when they are merged is the
-//! product of the difference of their means (Chan, Golub and LeVeque 1979): every statistic takes it as one frame more. So shading,
-//! fixed pattern and the lamp do not enter, and any split of the frames gives the same to rounding.
+//! Each frame's mean and each pixel's running mean (Welford 1962) are subtracted. The residuals, times the
+//! root of (n - 1) / n, are independent deviations whose products sum to those about the final means. Merging
+//! two halves adds the product of the difference of their means (Chan, Golub and LeVeque 1979), which every
+//! statistic takes as one more frame. So shading, fixed pattern and the lamp do not enter, and any split of
+//! the frames gives the same result to rounding.
 
 use super::covariance::{Covariance, Covariances};
 use super::frame_means::FrameMeans;
@@ -21,34 +22,34 @@ use radcam_sim::predict::PLACES;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// One more statistic that is a sum of products of deviations, made from whole images of them.
+/// Additional statistic: a sum of products of deviations, computed from whole images.
 pub trait Extra: Sync + std::fmt::Debug {
-    /// How many sums it keeps.
+    /// Number of sums.
     fn size(&self, layout: &Layout) -> usize;
-    /// Adds an image of deviations (rows * columns) whose row means and column means are there.
+    /// Adds an image of deviations (rows * columns) whose row means and column means are complete.
     fn add(&self, image: &[f32], lines: &Lines, layout: &Layout, sums: &mut [f64]);
 }
 
-/// The frames of a set, as far as they have been seen.
+/// Accumulator of the frames of a set.
 #[derive(Debug)]
 pub struct Pass<'a> {
     layout: &'a Layout,
     frame_means: FrameMeans,
-    /// Mean of every pixel, each frame's mean taken off, DN.
+    /// Mean of every pixel after subtraction of each frame's mean, DN.
     mean: Vec<f32>,
-    /// Deviations of the frame at hand, scaled.
+    /// Scaled deviations of the current frame.
     now: Vec<f32>,
     sums: Sums,
     successive: Successive,
-    /// Codes of the pixels that count.
+    /// Codes of the pixels in use.
     occupancy: Occupancy,
-    /// Places of the pixels that do not count.
+    /// Places of the masked pixels.
     masked: Vec<usize>,
-    /// Fourth powers of every pixel's deviations, DN^4, where they are asked for.
+    /// Third and fourth powers of every pixel's deviations, if requested.
     powers: Option<Powers>,
 }
 
-/// Everything that is a sum of products of deviations.
+/// All sums of products of deviations.
 #[derive(Debug)]
 struct Sums {
     variance: Variance,
@@ -99,12 +100,12 @@ impl Quadratic for Sums {
     }
 }
 
-/// What the frames of a set say.
+/// Statistics of the frames of a set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// Frames.
+    /// Number of frames.
     pub frames: usize,
-    /// Pixels that count.
+    /// Number of pixels in use.
     pub pixels: f64,
     /// Means of whole frames.
     pub frame_means: FrameMeans,
@@ -112,11 +113,11 @@ pub struct Summary {
     pub var: Value,
     /// Covariances within a frame.
     pub covariances: Covariances,
-    /// Covariance of a pixel's noise in successive frames, DN^2: 0 for independent ones.
+    /// Covariance of a pixel's noise in successive frames, DN^2: 0 for independent frames.
     pub successive: Value,
     /// Variance of row means, of column means, DN^2.
     pub line_var_dn2: [f64; 2],
-    /// Excess of the spread of the pixels' variances.
+    /// Excess of the spread of the pixels' variances over sampling scatter.
     pub unequal: Value,
     /// Counts of codes.
     pub occupancy: Occupancy,
@@ -128,14 +129,14 @@ pub struct Summary {
     pub rows_dn: Vec<f64>,
     /// Spatial variance of the pixels' means, DN^2.
     pub spatial_var_dn2: f64,
-    /// Sums of the further statistics that were asked for, in their order, over the degrees of freedom.
+    /// Sums of the requested additional statistics, in their order, over the degrees of freedom.
     pub extra: Vec<Vec<f64>>,
-    /// Where the pixels' means lie, in standard deviations from their mean, what noise their means have left included:
-    /// [`PLACES`] are the shares.
+    /// Mean positions of the pixels' means, sorted and grouped into the shares [`PLACES`], in standard
+    /// deviations from their mean; residual noise of the means is included.
     pub places: [f64; PLACES.len()],
 }
 
-/// The rows of one frame: the piece that the vector units take.
+/// Rows of one frame: unit of vectorised work.
 struct Rows<'a, 'b> {
     pass: &'a mut Pass<'b>,
     frame: &'a [u16],
@@ -172,12 +173,12 @@ impl pulp::NullaryFnOnce for Rows<'_, '_> {
 }
 
 impl<'a> Pass<'a> {
-    /// No frame yet.
+    /// Creates an empty pass.
     pub fn new(layout: &'a Layout) -> Self {
         Self::with(layout, &[])
     }
 
-    /// No frame yet, with more statistics.
+    /// Creates an empty pass with additional statistics.
     pub fn with(layout: &'a Layout, extra: &[&'static dyn Extra]) -> Self {
         let pixels = layout.mask.len();
         Self {
@@ -199,7 +200,7 @@ impl<'a> Pass<'a> {
         }
     }
 
-    /// Turns the sums of third and fourth powers of single pixels on or off for the frames that follow.
+    /// Turns the sums of third and fourth powers of single pixels on or off for the following frames.
     pub fn of_single_pixels(&mut self, wanted: bool) {
         self.powers = wanted.then(|| Powers::new(self.mean.len()));
     }
@@ -208,7 +209,7 @@ impl<'a> Pass<'a> {
     ///
     /// # Errors
     ///
-    /// Where a frame has another size than the layout.
+    /// If a frame differs in size from the layout.
     pub fn add(&mut self, frame: &[u16]) -> Result<(), SizeMismatch> {
         let expected = self.mean.len();
         if frame.len() != expected {
@@ -226,7 +227,7 @@ impl<'a> Pass<'a> {
                 powers.add(self.frame_means.frames(), &self.now, self.sums.variance.squares());
             }
         }
-        // The mean as it was taken off, so that the two add up.
+        // Uses the mean as it was subtracted, so that the two add up.
         self.frame_means.add(frame_mean);
         Ok(())
     }
@@ -237,7 +238,7 @@ impl<'a> Pass<'a> {
         Some((self.powers.clone()?, self.mean.clone()))
     }
 
-    /// Adds the frames that follow, seen elsewhere under the same layout.
+    /// Merges the frames that follow, accumulated elsewhere under the same layout.
     pub fn merge(&mut self, later: &Self) {
         if later.frame_means.frames() == 0 {
             return;
@@ -270,7 +271,7 @@ impl<'a> Pass<'a> {
         self.frame_means.merge(&later.frame_means);
     }
 
-    /// Share of samples at full scale, of pixels that count.
+    /// Share of samples at full scale, of pixels in use.
     pub fn clipped(&self) -> f64 {
         self.occupancy.clipped()
     }
@@ -280,13 +281,13 @@ impl<'a> Pass<'a> {
         self.frame_means.mean_dn()
     }
 
-    /// Temporal variance of every pixel, DN^2: 0 where it does not count, and of a single frame.
+    /// Temporal variance of every pixel, DN^2: 0 for masked pixels, and for a single frame.
     pub fn variances_dn2(&self) -> Vec<f32> {
         let dof = (self.frame_means.frames() as f32 - 1.0).max(1.0);
         self.sums.variance.squares().iter().map(|s| s / dof).collect()
     }
 
-    /// Forgets every frame and keeps the memory, for the next set.
+    /// Discards all frames but keeps the memory for the next set.
     pub fn clear(&mut self) {
         self.frame_means.clear();
         self.mean.fill(0.0);
@@ -303,7 +304,8 @@ impl<'a> Pass<'a> {
         self.occupancy.0.fill(0);
     }
 
-    /// Means of the lowest, the next and so on pixels, in standard deviations: a histogram is as good as sorting them.
+    /// Computes the mean of each group of sorted pixels, the lowest first, in standard deviations. A
+    /// histogram is accurate enough and avoids sorting.
     fn places(&self, deviation: f64) -> [f64; PLACES.len()] {
         const BINS: usize = 512;
         let mut counts = [0u64; BINS];
@@ -328,12 +330,12 @@ impl<'a> Pass<'a> {
                 }
             }
         }
-        // What the pixels of a part differ by is lost: of a standard deviation 2 in 100.
+        // The spread within a group is lost: 2 % of the standard deviation.
         let square: f64 = out.iter().zip(PLACES).map(|(x, share)| share * x * x).sum();
         out.map(|x| x / square.sqrt().max(0.5))
     }
 
-    /// What the frames say; `None` with fewer than two.
+    /// Returns the statistics; `None` for fewer than two frames.
     pub fn finish(&mut self) -> Option<Summary> {
         let frames = self.frame_means.frames() as usize;
         if frames < 2 {
@@ -371,13 +373,13 @@ impl<'a> Pass<'a> {
             rows_dn,
             places,
             extra: self.sums.extra.iter().map(|(_, sums)| sums.iter().map(|s| s / dof).collect()).collect(),
-            // Means over few frames scatter from pixel to pixel.
+            // Means over few frames contain temporal noise.
             spatial_var_dn2: (between - var.value / frames as f64).max(0.0),
         })
     }
 }
 
-/// Sum of the codes that count.
+/// Sum of the codes of the pixels in use.
 struct Total<'a> {
     frame: &'a [u16],
     mask: &'a [f32],
@@ -402,7 +404,7 @@ impl pulp::NullaryFnOnce for Total<'_> {
     }
 }
 
-/// Every statistic of frames that lie in memory, on all cores.
+/// Computes all statistics of frames in memory, on all cores.
 ///
 /// ```
 /// use radcam::statistics::{layout::Layout, pass::collect};
@@ -414,16 +416,17 @@ impl pulp::NullaryFnOnce for Total<'_> {
 ///
 /// # Errors
 ///
-/// Where a frame has another size than the layout.
+/// If a frame differs in size from the layout.
 pub fn collect(layout: &Layout, frames: &[&[u16]]) -> Result<Option<Summary>, SizeMismatch> {
     collect_with(layout, frames, &mut Vec::new())
 }
 
-/// [`collect`] in memory that is there: one pass for each core, made where missing. All must be of this layout.
+/// Runs [`collect`] with reused memory: one pass per core, created if missing. All passes must have this
+/// layout.
 ///
 /// # Errors
 ///
-/// Where a frame has another size than the layout.
+/// If a frame differs in size from the layout.
 pub fn collect_with<'a>(
     layout: &'a Layout,
     frames: &[&[u16]],
@@ -469,7 +472,7 @@ mod tests {
         Layout::new(&Array2::from_elem(SHAPE, true), 4095)
     }
 
-    /// Sums of fourth powers about the mean agree with their definition, in one pass and merged from two, to
+    /// Sums of fourth powers about the mean agree with their definition, in one pass and merged from two,
     /// within the precision of 32-bit sums.
     #[test]
     fn fourth_powers_are_about_the_mean() {
@@ -496,7 +499,8 @@ mod tests {
         }
     }
 
-    /// White noise of 100 DN^2 under shading: every statistic is found, and the stated errors are true over 1000 runs.
+    /// White noise of 100 DN^2 under shading: every statistic is recovered, and the stated errors hold over
+    /// 1000 runs.
     #[test]
     fn errors_cover_the_truth() {
         let layout = all();
@@ -523,14 +527,14 @@ mod tests {
         for (name, z2) in squares {
             let n = z2.len() as f64;
             let mean = z2.iter().sum::<f64>() / n;
-            // The square of a Student's number of some 60 degrees of freedom: mean 1.03, variance 2.2; four standard errors. The
-            // values of one run share their pixels.
+            // The square of Student's t with about 60 degrees of freedom has mean 1.03 and variance 2.2;
+            // tolerance four standard errors. Values of one run share their pixels.
             let runs = n.min(2000.0);
             assert!((mean - 1.03).abs() < 4.0 * (2.2 / runs).sqrt(), "{name}: {mean} of {n}");
         }
     }
 
-    /// In parts that are merged, and with pixels left out: the same as in one go, and the same as from the definition.
+    /// Merged parts, with masked pixels, agree with a single pass and with the definition.
     #[test]
     fn any_split_says_the_same() {
         let used = Array2::from_shape_fn(SHAPE, |(y, x)| (y * 7 + x * 3) % 11 != 0 && y != 20);
@@ -538,7 +542,7 @@ mod tests {
         let images = frames(11, |f, y, x| 6.0 * normal(f, y * 96 + x) + 2.0 * normal(900 + f, y) + f as f64);
         let whole = {
             let mut pass = Pass::new(&layout);
-            // Memory that served before.
+            // Reuses memory.
             images[3..6].iter().for_each(|f| pass.add(f).unwrap());
             pass.clear();
             images.iter().for_each(|f| pass.add(f).unwrap());
@@ -574,7 +578,7 @@ mod tests {
             close(summary.power.iter().sum(), total, total);
             assert_eq!(summary.occupancy, whole.occupancy);
         }
-        // From the definition: residuals of the two-way layout.
+        // By definition: residuals of the two-way layout.
         let n = images.len() as f64;
         let marks: Vec<usize> = used.iter().enumerate().filter(|(_, u)| **u).map(|(i, _)| i).collect();
         let frame = |f: &[u16]| marks.iter().map(|&i| f64::from(f[i])).sum::<f64>() / marks.len() as f64;
@@ -633,11 +637,11 @@ mod tests {
         let top = (1..n / 2).max_by(|&a, &b| summary.power[a].total_cmp(&summary.power[b])).unwrap();
         assert_eq!(top, (0.1234 * n as f64).round() as usize);
         let around: f64 = summary.power[top - 3..=top + 3].iter().sum();
-        // Seven degrees of freedom, of which one sine a frame; the floor is 7 x 16 x 7.
+        // Seven degrees of freedom, of which one sine per frame; the floor is 7 x 16 x 7.
         let variance = (around - 784.0) / 7.0 * 2.0 / n as f64;
         assert!((variance - 8.0).abs() < 0.15 * 8.0, "{variance}");
     }
-    /// Levels of normal pixels lie where the table has them, whatever the noise.
+    /// Places of normal pixels agree with the table, for any noise.
     #[test]
     fn levels_lie_where_they_are() {
         const RUNS: u64 = 40;

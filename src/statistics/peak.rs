@@ -1,22 +1,22 @@
-//! The peak of a photon-transfer curve, and single levels that would be taken for it.
+//! Peak of a photon-transfer curve, and stray levels that could be mistaken for it.
 
 use super::median::median;
 
-/// Levels below this share of the largest mean have read noise in their variance over the mean.
+/// Minimum level, as a share of the largest mean: below it variance over mean contains read noise.
 const DIM: f64 = 0.05;
-/// A level is a stray where its variance over the mean is this multiple of the median of five around it: noise of
-/// a turning well falls, and does not rise by half from one level to the next.
+/// Minimum ratio of a stray's variance over mean to the median of five levels around it: noise near full well
+/// falls, and does not rise by half from one level to the next.
 const STRAY: f64 = 1.5;
-/// Levels around, itself included, whose median is taken.
+/// Levels on each side that enter the median, besides the level itself.
 const AROUND: usize = 2;
 
-/// Share of the peak's level from which on the well turns.
+/// Onset of full well, as a share of the peak's level.
 const TURNING: f64 = 0.97;
-/// Level over the peak's up to which another level may be its scatter.
+/// Maximum ratio of another level to the peak's at which the difference may be scatter.
 const BEYOND: f64 = 1.02;
 
-/// Level from which on rows of (mean above black, variance) are full well, and that of the variance's peak;
-/// `None` where the variance grows to the last. Strays must have been taken out.
+/// Returns the level at which full well begins and the level of the variance peak, from rows of (mean above
+/// black, variance); `None` if the variance grows to the last level. Strays must be removed first.
 ///
 /// ```
 /// use radcam::statistics::peak::turn_off;
@@ -31,8 +31,8 @@ pub fn turn_off(levels: &[(f64, f64)]) -> Option<(f64, f64)> {
     (top > BEYOND * peak).then_some((TURNING * peak, peak))
 }
 
-/// Places of levels, given as (mean above black, variance), whose variance lies far above that of the levels
-/// around: one of them would be taken for the peak. Nothing for fewer than five.
+/// Returns the indices of levels, given as (mean above black, variance), whose variance lies far above that
+/// of the levels around and could be mistaken for the peak. Empty for fewer than five levels.
 ///
 /// ```
 /// use radcam::statistics::peak::strays;
@@ -52,7 +52,7 @@ pub fn strays(levels: &[(f64, f64)]) -> Vec<usize> {
     order.sort_by(|&a, &b| levels[a].0.total_cmp(&levels[b].0));
     let var = |k: usize| levels[order[k]].1;
     let ratio = |k: usize| var(k) / levels[order[k]].0;
-    // Variance over mean stays from level to level in the shot noise; the variance stays in the read noise.
+    // Between levels, variance over mean is constant in shot noise; the variance is constant in read noise.
     let is_stray = |k: &usize| {
         let from = k.saturating_sub(AROUND).min(order.len().saturating_sub(2 * AROUND + 1));
         let around = || from..(from + 2 * AROUND + 1).min(order.len());

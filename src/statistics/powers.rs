@@ -18,8 +18,8 @@ impl Powers {
         Self { thirds: vec![0.0; pixels], fourths: vec![0.0; pixels] }
     }
 
-    /// Adds one frame after `before` others. `now`: its deviation from their mean times sqrt(before / (before +
-    /// 1)); `squares`: sums of squares with this frame.
+    /// Adds one frame after `before` frames. `now`: its deviations from their mean times sqrt(before /
+    /// (before + 1)); `squares`: sums of squares including this frame.
     pub fn add(&mut self, before: u64, now: &[f32], squares: &[f32]) {
         let (k, n) = (before as f32, before as f32 + 1.0);
         let root = (n / k).sqrt();
@@ -33,8 +33,8 @@ impl Powers {
         }
     }
 
-    /// Adds frames summed elsewhere. `squares`: sums of squares of both; then their numbers of frames; `off`:
-    /// later means less these.
+    /// Merges the sums of later frames. `squares`: sums of squares of both parts; `[a, b]`: their numbers of
+    /// frames; `off`: means of the later part minus means of this one.
     pub fn merge(
         &mut self,
         later: &Self,

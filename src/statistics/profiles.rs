@@ -1,16 +1,17 @@
-//! Whether every level shows the same sensor: means of lines at all levels as one offset and one gain of each line, and one dark current.
+//! Consistency of the sensor over the levels: line means at all levels as one offset, one gain and one dark
+//! current per line.
 
 use super::jackknife::Value;
 use crate::fit::cholesky::Factor;
 
-/// Means of lines at one level, about their own mean.
+/// Line means at one level, used relative to their own mean.
 #[derive(Debug, Clone, Copy)]
 pub struct Profile<'a> {
-    /// Means of lines, DN.
+    /// Line means, DN.
     pub lines_dn: &'a [f64],
-    /// Their temporal variance in one frame, DN^2.
+    /// Temporal variance of the line means in one frame, DN^2.
     pub var_dn2: f64,
-    /// Frames.
+    /// Number of frames.
     pub frames: f64,
     /// Signal, DN.
     pub signal_dn: f64,
@@ -18,22 +19,24 @@ pub struct Profile<'a> {
     pub exposure_s: f64,
 }
 
-/// Profiles and lines from which on something can be said.
+/// Minimum numbers of profiles and of lines.
 const FEWEST: usize = 6;
 const FEWEST_LINES: usize = 32;
-/// What single precision and the mask leave in a mean of a line, DN.
+/// Error of a line mean from single precision and the mask, DN.
 const FLOOR_DN: f64 = 1e-3;
 
-/// Rounds in which amounts and patterns are found in turn: at first all profiles count alike, so that a few whose noise is small, as where a
-/// well is full, do not decide what the patterns are.
+/// Alternating iterations of amounts and patterns. All profiles have equal weight in the first half, so that
+/// a few with little noise, as near full well, do not determine the patterns.
 const ROUNDS: usize = 24;
 
-/// Mean square, over what the scatter from frame to frame allows, of what is left of the profiles once each line has an offset, a gain and a
-/// dark current of its own, and each profile may have as much of the gains' pattern as it likes: 1 where the sensor is the same at every
-/// level. `None` for too few. At one exposure dark current is a part of the offset.
+/// Computes the mean squared residual of the profiles over the scatter from frame to frame, after a fit of an
+/// offset, a gain and a dark current per line, with a free amount of the gain pattern per profile: 1 if the
+/// sensor is the same at every level. `None` for too few. At one exposure dark current is a part of the
+/// offset.
 ///
-/// A response that is the same for all pixels changes how much of a pattern is seen, and no shape. Of C profiles of N lines about their mean
-/// 3 patterns are taken, of one of them in free amounts: (C - 3) (N - 2) numbers are left; (C - 2) (N - 2) at one exposure.
+/// A response common to all pixels changes the amount of a pattern, and not its shape. Of C profiles of N
+/// lines about their mean 3 patterns are fitted, one of them with free amounts: (C - 3) (N - 2) degrees of
+/// freedom are left; (C - 2) (N - 2) at one exposure.
 pub fn left_over(profiles: &[Profile<'_>]) -> Option<Value> {
     let lines = profiles.first()?.lines_dn.len();
     if profiles.len() < FEWEST || lines < FEWEST_LINES {
@@ -68,7 +71,8 @@ pub fn left_over(profiles: &[Profile<'_>]) -> Option<Value> {
     Some(Value { value: square / dof, std_err: (2.0 / dof + 2.0 / of_errors).sqrt() })
 }
 
-/// One over the variance of a line's mean over the frames: a variance with n degrees of freedom has the mean inverse n / (n - 2).
+/// Computes the weight of a profile: one over the variance of a line's mean over the frames. A variance with
+/// n degrees of freedom has the mean inverse n / (n - 2).
 fn weight(p: &Profile<'_>, lines: usize) -> f64 {
     let dof = (p.frames - 1.0) * (lines as f64 - 1.0);
     (dof - 2.0) / dof / (p.var_dn2 / p.frames + FLOOR_DN * FLOOR_DN)
@@ -79,13 +83,13 @@ fn centred(lines: &[f64]) -> Vec<f64> {
     lines.iter().map(|l| l - mean).collect()
 }
 
-/// Offset, gain and dark current of every line, by weighted least squares.
+/// Fits offset, gain and dark current of every line, by weighted least squares.
 fn patterns(profiles: &[Vec<f64>], terms: &[[f64; 3]], weights: &[f64]) -> Option<Vec<Vec<f64>>> {
     let mut matrix = vec![0.0; 9];
     for (t, w) in terms.iter().zip(weights) {
         (0..9).for_each(|k| matrix[k] += w * t[k / 3] * t[k % 3]);
     }
-    // What no profile has keeps a pattern of nothing.
+    // A term that no profile has gets a zero pattern.
     (0..3).for_each(|k| matrix[4 * k] = if matrix[4 * k] > 0.0 { matrix[4 * k] * (1.0 + 1e-9) } else { 1.0 });
     let factor = Factor::of(&matrix, 3)?;
     let lines = profiles.first()?.len();
@@ -114,12 +118,13 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Twenty profiles of 64 lines of 80 pixels, 4 frames each, under a response and a droop down the lines that grows with the signal.
+    /// Simulates twenty profiles of 64 lines of 80 pixels, 4 frames each, under a response and a droop down
+    /// the lines that grows with the signal.
     fn of(seed: u64, response: impl Fn(f64) -> f64, droop: f64) -> Value {
         with(seed, response, droop, 20, 5)
     }
 
-    /// So many profiles, at so many exposures.
+    /// Simulates `count` profiles at `exposures` exposures.
     fn with(seed: u64, response: impl Fn(f64) -> f64, droop: f64, count: u32, exposures: u32) -> Value {
         let normal = |a: u32, b: u32, c: u32| PixelRng::new(seed, Stream::Effect, a.into(), b, c).normal();
         let drawn = |c: u32| {
@@ -150,8 +155,9 @@ mod tests {
         left_over(&profiles).unwrap()
     }
 
-    /// 200 sensors: the mean within four of its errors of 1 and the scatter as said to 20 % (its own error is 5 %); with a bent response,
-    /// which changes amounts and no shapes, the same within two of the scatter; a droop of 0.1 % a line is seen in each.
+    /// 200 sensors: the mean is 1 within four of its errors and the scatter as stated to 20 % (its own error
+    /// is 5 %). A nonlinear response, which changes amounts and no shapes, shifts the mean by less than half
+    /// a standard error. A droop of 0.1 % a line is detected in each.
     #[test]
     fn one_sensor_leaves_nothing_and_a_droop_is_seen() {
         let statistics = |response: fn(f64) -> f64| {
@@ -166,7 +172,7 @@ mod tests {
         };
         let (mean, deviation) = statistics(|v| v);
         assert!(mean.abs() < 4.0 / 200f64.sqrt() && (deviation - 1.0).abs() < 0.2, "{mean} {deviation}");
-        // At one exposure, and of few levels, the same.
+        // Also at one exposure with few levels.
         let few: f64 = (0..200)
             .map(|s| {
                 let v = with(s, |v| v, 0.0, 7, 1);

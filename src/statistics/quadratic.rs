@@ -4,10 +4,10 @@ use super::layout::Layout;
 
 /// A sum of products of deviations.
 pub trait Quadratic {
-    /// Adds row `y` of an image of deviations whose rows up to `y` are there.
+    /// Adds row `y` of an image of deviations; rows up to `y` must be filled.
     fn row(&mut self, y: usize, image: &[f32], layout: &Layout);
-    /// The image is complete.
+    /// Completes the image.
     fn end(&mut self, image: &[f32], layout: &Layout);
-    /// Adds the sums of another.
+    /// Merges the sums of another.
     fn absorb(&mut self, other: &Self);
 }

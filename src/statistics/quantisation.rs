@@ -1,4 +1,4 @@
-//! Noise of a converter's steps, in squared steps.
+//! Quantisation noise, in squared steps.
 
 /// Variance of quantisation (EMVA 1288 release 4, section 2.4; q^2 / 12, eq. 27 of Healey and Kondepudy).
 pub(crate) const QUANTISATION_DN2: f64 = 1.0 / 12.0;

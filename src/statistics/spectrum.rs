@@ -6,15 +6,16 @@ use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
-/// Longest run of pixels that is looked at, from the first row on.
+/// Maximum number of pixels analysed, from the first row on.
 const LONGEST: usize = 1 << 16;
 
-/// Power of the deviations, the means of rows and columns taken off: what whole lines share is no line of the spectrum.
+/// Power of the deviations after subtraction of row and column means: noise of whole lines is no spectral
+/// line.
 pub struct Power {
     length: usize,
     power: Vec<f64>,
     fft: Arc<dyn Fft<f32>>,
-    /// Two frames at once: one in the real part, one in the imaginary.
+    /// Two frames per transform: one in the real part, one in the imaginary part.
     pair: Vec<Complex<f32>>,
     scratch: Vec<Complex<f32>>,
     half: bool,
@@ -28,12 +29,12 @@ impl std::fmt::Debug for Power {
 }
 
 impl Power {
-    /// Pixels in read-out order that a frame of (rows, columns) gives.
+    /// Number of pixels in read-out order used of a frame of (rows, columns).
     pub fn length(shape: (usize, usize)) -> usize {
         (shape.0 * shape.1).min(LONGEST)
     }
 
-    /// For frames of (rows, columns).
+    /// Creates an accumulator for frames of (rows, columns).
     pub fn new(shape: (usize, usize)) -> Self {
         let length = Self::length(shape);
         let fft = FftPlanner::new().plan_fft_forward(length);
@@ -58,32 +59,34 @@ impl Power {
         let n = self.length;
         let scale = 1.0 / (0.375 * n as f64);
         for (k, p) in self.power.iter_mut().enumerate() {
-            // Of real and imaginary part apart: (|F_k|^2 + |F_-k|^2) / 2 is the sum of both powers.
+            // Sum of the powers of real and imaginary part: (|F_k|^2 + |F_-k|^2) / 2.
             let both = self.pair[k].norm_sqr() + self.pair[(n - k) % n].norm_sqr();
             *p += 0.5 * scale * f64::from(both);
         }
         self.pair.fill(Complex::default());
     }
 
-    /// Forgets every frame.
+    /// Discards all frames.
     pub fn clear(&mut self) {
         self.power.fill(0.0);
         self.pair.fill(Complex::default());
         self.half = false;
     }
 
-    /// Summed power at each frequency k / length cycles per pixel, DN^2: for white noise its variance times the degrees of freedom.
+    /// Summed power at each frequency k / length cycles per pixel, DN^2: for white noise, variance times
+    /// degrees of freedom.
     pub fn finish(&mut self) -> Vec<f64> {
         self.flush();
         self.power.clone()
     }
 
-    /// Adds an image of deviations whose lines are known: a sum of products, as [`super::quadratic::Quadratic`] is.
+    /// Adds an image of deviations with known line means: a sum of products, like
+    /// [`super::quadratic::Quadratic`].
     pub fn add(&mut self, image: &[f32], lines: &Lines, layout: &Layout) {
         let columns = layout.columns();
         let rows = self.length.div_ceil(columns);
         let row_means = lines.row_means();
-        // The frame's mean is in the rows' already.
+        // The row means already contain the frame's mean.
         let whole = row_means.iter().sum::<f32>() / row_means.len() as f32;
         let off: Vec<f32> = lines.column_means(layout).map(|m| m - whole).collect();
         for (y, row_mean) in row_means.iter().enumerate().take(rows) {
@@ -103,11 +106,11 @@ impl Power {
         }
     }
 
-    /// Adds the sums of another.
+    /// Merges the sums of another.
     pub fn absorb(&mut self, other: &Self) {
         self.power.iter_mut().zip(&other.power).for_each(|(a, b)| *a += b);
         if other.half {
-            // What waits there has its power alone.
+            // A pending frame is transformed alone.
             let mut waiting = other.pair.clone();
             self.fft.process(&mut waiting);
             let scale = 1.0 / (0.375 * self.length as f64);

@@ -1,7 +1,8 @@
-//! Whether the same pixels are noisier in one run of frames as in another: the covariance of their variances.
+//! Persistence of pixel noise: covariance of the pixels' variances in different runs of frames.
 //!
-//! A pixel that jumps between two levels does so in every run. A rare large deviation hits any pixel, and the next time another. Pixels that jump
-//! lie anywhere; where those that are noisier lie side by side, or in every second line, they are parts of the sensor.
+//! A pixel that jumps between two levels does so in every run. A rare large deviation hits another pixel each
+//! time. Jumping pixels lie at random places; noisy pixels side by side, or in every second line, are parts
+//! of the sensor.
 
 use super::jackknife::{Blocks, Value};
 use super::layout::Layout;
@@ -9,10 +10,10 @@ use super::powers::Powers;
 use radcam_sim::rng::{PixelRng, Stream};
 use std::collections::BTreeMap;
 
-/// Pixels' variances about their mean, summed over runs of frames.
+/// Deviations of the pixels' variances from their mean, summed over runs of frames.
 #[derive(Debug, Clone)]
 pub struct Steady {
-    /// Over the first, third, ... run, and over the others.
+    /// Sums over the first, third, ... run, and over the others.
     sums: [Vec<f32>; 2],
     squares: Vec<f32>,
     runs: usize,
@@ -27,19 +28,19 @@ pub struct Steady {
 /// Frames of one half.
 #[derive(Debug, Clone, Default)]
 struct Half {
-    /// Sums over the groups of every pixel's squares about its mean in the group, and of [`above_bound`].
+    /// Sums over the groups of every pixel's squares about its group mean, and of [`above_bound`].
     squares: Vec<f64>,
     above_bound: Vec<f64>,
     dof: f64,
-    /// Frames of every group that is in the sums.
+    /// Number of frames of each group in the sums.
     runs: Vec<u64>,
-    /// Groups that more runs of the same exposure may join.
+    /// Groups that later runs of the same exposure may join.
     open: Vec<Group>,
     /// Lowest mean of a run, DN.
     level_dn: f64,
 }
 
-/// Runs of frames of one exposure, about the mean of all of them: a pixel that stays on one level for a run jumps
+/// Runs of frames of one exposure, about their common mean: a pixel that stays on one level for a run jumps
 /// from run to run.
 #[derive(Debug, Clone)]
 pub struct Group {
@@ -49,7 +50,7 @@ pub struct Group {
     pub frames: u64,
     /// Mean of the frames, DN.
     pub level_dn: f64,
-    /// Mean of every pixel less that of the frames, DN.
+    /// Mean of every pixel minus the mean of the frames, DN.
     pub mean_dn: Vec<f32>,
     /// Sums of squares, DN^2.
     pub squares: Vec<f32>,
@@ -93,7 +94,7 @@ impl Half {
         }
     }
 
-    /// Puts a group into the sums.
+    /// Adds a group to the sums.
     fn close(&mut self, group: &Group) {
         self.runs.push(group.frames);
         self.dof += group.frames as f64 - 1.0;
@@ -114,11 +115,11 @@ impl Half {
     }
 }
 
-/// Kurtosis above Pearson's bound, times S^2 / n: Q - T^2 / S - S^2 / n of the sums of squares S, third
-/// powers T and fourth powers Q of n deviations from their mean.
+/// Computes the kurtosis above Pearson's bound, times S^2 / n: Q - T^2 / S - S^2 / n of the sums of squares
+/// S, third powers T and fourth powers Q of n deviations from their mean.
 ///
-/// The bound, kurtosis >= skewness^2 + 1, is reached by numbers that have two values only, however often each
-/// (Pearson 1916, Phil. Trans. A 216, 429).
+/// The bound, kurtosis >= skewness^2 + 1, is reached by two-valued numbers of any proportion (Pearson 1916,
+/// Phil. Trans. A 216, 429).
 fn above_bound([square, third, fourth]: [f64; 3], n: f64) -> f64 {
     if square > 0.0 { (fourth - third * third / square - square * square / n).max(0.0) } else { 0.0 }
 }
@@ -146,8 +147,7 @@ fn mean_square_of_normal(frames: u64) -> f64 {
     sum / draws as f64
 }
 
-/// Normal numbers drawn for one Monte Carlo mean, and its fewest draws (named choices: errors of some per
-/// cent).
+/// Random normal numbers per Monte Carlo mean, and minimum draws (named choices: errors of a few per cent).
 const DRAWN_NUMBERS: u64 = 40_000;
 const MIN_DRAWS: u64 = 400;
 
@@ -182,7 +182,7 @@ impl Half {
     }
 }
 
-/// Kurtosis of some pixels above Pearson's bound.
+/// Kurtosis of a group of pixels above Pearson's bound.
 #[derive(Debug, Clone, Copy)]
 pub struct Levels {
     /// Relative to that of normal noise, minus 1; mean over the pixels.
@@ -191,23 +191,23 @@ pub struct Levels {
     pub pixels: f64,
 }
 
-/// Shares of the pixels, the noisiest first, whose levels are looked at, beside those that stand out.
+/// Shares of the pixels, the noisiest first, that are examined besides those that stand out.
 const NOISIEST: [f64; 2] = [0.01, 0.05];
-/// Fewest pixels and degrees of freedom of which it is taken.
+/// Minimum pixels and degrees of freedom of this statistic.
 const PIXELS: f64 = 4.0;
 const DOF: f64 = 3.0;
 /// Minimum variance of a pixel that covers more than two codes, DN^2: 1/12 and 0.56 DN of noise, which rounding
 /// changes by 2 exp(-2 pi^2 0.32) = 0.004 (Widrow and Kollar 2008, ch. 4).
 pub const LEAST_DN2: f64 = 0.4;
-/// Standard deviations of a pixel's noise within which code 0 cuts it off.
+/// Standard deviations of a pixel's noise within which code 0 clips it.
 pub const REACH: f64 = 3.0;
-/// Pixels stand out by so many standard deviations of the logarithm of the ordinary ones' variances.
+/// Minimum distance of pixels that stand out, in standard deviations of the ordinary pixels' log variances.
 const STANDS_OUT: f64 = 3.5;
 
-/// Distribution of the single pixels' noise variances, as many frames of the same kind show it.
+/// Distribution of the noise variances of single pixels, as estimated from many frames of the same kind.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelNoise {
-    /// Variance over the pixels of their variances, over the square of their mean.
+    /// Variance of the pixels' variances, over the square of their mean.
     pub spread: f64,
     /// Third and fourth central moment, over the spread to the power 3/2 and 2.
     pub skewness: f64,
@@ -217,25 +217,24 @@ pub struct PixelNoise {
     pub largest: f64,
     /// Median of the pixels' standard deviations over their root mean square.
     pub median: f64,
-    /// Mean of their variances, DN^2; not a number where no frames told it.
+    /// Mean of the pixels' variances, DN^2; NaN if not estimated from frames.
     pub mean_dn2: f64,
-    /// Standard deviation of the logarithm of the ordinary pixels' standard deviations; not a number where too
-    /// few frames tell.
+    /// Standard deviation of the ordinary pixels' log standard deviations; NaN if there are too few frames.
     pub log_spread: f64,
-    /// Share of the pixels that are noisier than the ordinary ones by more than their spread explains; as
+    /// Share of the pixels that are noisier than the spread of the ordinary ones explains; NaN as
     /// `log_spread`.
     pub noisy: f64,
 }
 
 impl PixelNoise {
-    /// Lognormal variances with this relative variance (Johnson, Kotz and Balakrishnan 1994, ch. 14).
+    /// Creates lognormal variances with this relative variance (Johnson, Kotz and Balakrishnan 1994, ch. 14).
     pub fn lognormal(spread: f64) -> Self {
         let w = 1.0 + spread.max(1e-9);
         Self {
             spread,
             skewness: (w + 2.0) * (w - 1.0).sqrt(),
             kurtosis: w.powi(4) + 2.0 * w.powi(3) + 3.0 * w * w - 3.0,
-            // The farthest of some ten thousand pixels lies four standard deviations off.
+            // The farthest of about ten thousand pixels lies four standard deviations off.
             largest: (4.0 * w.ln().sqrt()).exp(),
             median: w.powf(-0.25),
             mean_dn2: f64::NAN,
@@ -244,8 +243,8 @@ impl PixelNoise {
         }
     }
 
-    /// The usual distribution, for a sensor whose darks do not tell: lognormal, or one pixel in three hundred
-    /// with most of the spread, whichever has more tails.
+    /// Returns the default distribution for a sensor whose darks do not determine it: lognormal, or one pixel
+    /// in three hundred with most of the spread, whichever has heavier tails.
     pub fn usual(spread: f64) -> Self {
         let of = Self::lognormal(spread);
         let noisy: f64 = 300.0;
@@ -253,12 +252,13 @@ impl PixelNoise {
         Self { skewness: of.skewness.max(noisy.sqrt()), kurtosis: of.kurtosis.max(noisy), largest, ..of }
     }
 
-    /// Largest variance of a pixel, of mean 1, where they spread by `spread` in the same shape.
+    /// Largest variance of a pixel over the mean, at relative variance `spread` and with the same shape.
     pub fn largest(&self, spread: f64) -> f64 {
         1.0 + (self.largest - 1.0).max(0.0) * (spread.max(0.0) / self.spread.max(1e-6)).sqrt().min(1.0)
     }
 
-    /// Raw second, third and fourth moment of variances of mean 1 that spread by `spread`, in the same shape.
+    /// Raw second, third and fourth moment of variances of mean 1 and relative variance `spread`, with the
+    /// same shape.
     pub fn moments(&self, spread: f64) -> [f64; 3] {
         let root = spread.max(0.0).sqrt();
         let (two, three, four) =
@@ -267,28 +267,28 @@ impl PixelNoise {
     }
 }
 
-/// Variance of the noisiest of n pixels over the mean, where its sample variance of 2 / a degrees of freedom is v
-/// times the mean. Few frames make one of many seem larger, by two and a half deviations of chi-square; a pixel
-/// far beyond what chance makes of the largest of n alike is as noisy as it looks, less that (Wilson and Hilferty
-/// 1931).
+/// Estimates the variance of the noisiest of n pixels over the mean, from its sample variance v (relative to
+/// the mean) with 2 / a degrees of freedom. Few frames make the largest of many seem larger, by two and a
+/// half deviations of chi-square. A pixel far beyond the expected maximum of n equal pixels is as noisy as it
+/// looks, less that (Wilson and Hilferty 1931).
 fn of_largest(v: f64, a: f64, n: f64) -> f64 {
     let quantile = |z: f64| (1.0 - a / 9.0 + z * (a / 9.0).sqrt()).powi(3);
-    // A normal number that one of n passes (Cramer 1946, 28.6, to first order).
+    // Value that one of n normal numbers exceeds (Cramer 1946, 28.6, to first order).
     let most = (2.0 * n.max(2.0).ln()).sqrt();
     (v / quantile(2.5)).max(v - quantile(most))
 }
 
-/// Quantiles of a standard normal number at one and three quarters.
+/// Upper quartile of a standard normal number.
 const QUARTILE: f64 = 0.674_489_750_196_081_7;
-/// A pixel is noisy from so many standard deviations of the logarithm of the ordinary pixels' variances on:
-/// chance has one in a million.
+/// Minimum distance of a noisy pixel, in standard deviations of the ordinary pixels' log variances: one in a
+/// million by chance.
 const NOISY: f64 = 4.8;
-/// Degrees of freedom from which on single pixels are told apart, and from which on moments are taken.
+/// Minimum degrees of freedom to tell single pixels apart, and to estimate moments.
 const TOLD: f64 = 6.0;
 const FEWEST: f64 = 2.0;
 
 impl Steady {
-    /// For frames of so many pixels.
+    /// Creates an accumulator for frames of this number of pixels.
     pub fn new(pixels: usize) -> Self {
         Self {
             sums: [vec![0.0; pixels], vec![0.0; pixels]],
@@ -300,8 +300,7 @@ impl Steady {
         }
     }
 
-    /// Adds a run of so many frames: the variance of every pixel (0 where it does not count), and their mean,
-    /// DN^2.
+    /// Adds a run of `frames` frames: the variance of every pixel (0 if masked) and their mean, DN^2.
     pub fn add(&mut self, var_dn2: &[f32], mean_dn2: f64, frames: usize) {
         self.dof += frames as f64 - 1.0;
         self.mean_dn2 += mean_dn2;
@@ -320,8 +319,8 @@ impl Steady {
     }
 
     /// Kurtosis above Pearson's bound of the pixels that stand out, the noisiest hundredth and the noisiest
-    /// twentieth, for each half; `None` for too few. Pixels whose noise reaches code 0 or covers two codes
-    /// only are left out: clipping and rounding change it.
+    /// twentieth, for each half; `None` for too few pixels. Pixels whose noise reaches code 0 or covers only
+    /// two codes are excluded, since clipping and rounding change it.
     pub fn levels(&mut self, layout: &Layout) -> [[Option<Levels>; 3]; 2] {
         self.halves.iter_mut().for_each(Half::close_all);
         [0, 1].map(|half| self.levels_of(layout, half))
@@ -355,12 +354,12 @@ impl Steady {
         [stand_out, few, more].map(|count| Some(of(count)).filter(|l| l.pixels >= PIXELS))
     }
 
-    /// Distribution of the single pixels' variances, less the scatter of few frames; `None` of few
-    /// degrees of freedom.
+    /// Estimates the distribution of the single pixels' variances, corrected for the scatter of few frames;
+    /// `None` for too few degrees of freedom.
     ///
-    /// A sample variance of d degrees of freedom of normal noise has the raw moments s^2k prod(1 + 2 j / d), j <
-    /// k (chi-square). The logarithm of one scatters by the trigamma function at d / 2 (Bartlett and Kendall
-    /// 1946), which is about 2 / (d - 1).
+    /// A sample variance of normal noise with d degrees of freedom has the raw moments s^2k prod(1 + 2 j /
+    /// d), j < k (chi-square). Its logarithm has the variance trigamma(d / 2) (Bartlett and Kendall 1946),
+    /// which is about 2 / (d - 1).
     pub fn distribution(&self, layout: &Layout) -> Option<PixelNoise> {
         if self.dof < FEWEST {
             return None;
@@ -383,7 +382,7 @@ impl Steady {
         let spread = two - 1.0;
         all.sort_by(f64::total_cmp);
         let quantile = |share: f64| all[((share * n) as usize).min(all.len() - 1)].max(1e-6);
-        // The median of chi-square over its degrees of freedom (Wilson and Hilferty 1931).
+        // Median of chi-square over its degrees of freedom (Wilson and Hilferty 1931).
         let median_of_few = (1.0 - a / 9.0).powi(3);
         let width = 0.5 * (quantile(0.75) / quantile(0.25)).ln() / QUARTILE;
         let by_chance = 2.0 / (self.dof - 1.0).max(1.0);
@@ -407,12 +406,12 @@ impl Steady {
         })
     }
 
-    /// Covariance of the pixels' variances in two runs, DN^4, as the mean over all pairs of runs and all pixels; `None` of fewer than two
-    /// runs. Of pixels that are alike it is 0 but for its error.
+    /// Covariance of the pixels' variances in two runs, DN^4, as the mean over all pairs of runs and all
+    /// pixels; `None` for fewer than two runs. For equal pixels it is 0 within its error.
     pub fn covariance(&self, layout: &Layout) -> Option<Value> {
         let runs = self.runs as f64;
         let mut blocks = Blocks::default();
-        // What all pairs sum up to is the square of the sum less the squares.
+        // The sum over all pairs is the square of the sum minus the sum of the squares.
         let pairs = |i: usize| {
             let sum = f64::from(self.sums[0][i]) + f64::from(self.sums[1][i]);
             let square = f64::from(self.squares[i]);
@@ -422,8 +421,9 @@ impl Steady {
         (self.runs > 1).then(|| blocks.value())
     }
 
-    /// Covariance of a pixel's variance in one run with that in another of the pixel two columns on, and two rows on, DN^4; `None` of fewer than
-    /// two runs. Two, so that every second line shows. Of noisy pixels that lie anywhere it is 0 but for its error.
+    /// Covariance of a pixel's variance in one run with that of the pixel two columns on, and two rows on, in
+    /// another run, DN^4; `None` for fewer than two runs. A distance of two also shows patterns of every
+    /// second line. For noisy pixels at random places it is 0 within its error.
     pub fn of_neighbours(&self, layout: &Layout) -> Option<[Value; 2]> {
         if self.runs < 2 {
             return None;
@@ -457,8 +457,8 @@ mod tests {
     use super::*;
     use ndarray::Array2;
 
-    /// Over 200 campaigns of four runs: noisy pixels that lie anywhere are alone, within five standard errors of the mean, which the errors cover;
-    /// every second column, and the right half, are not.
+    /// 200 campaigns of four runs. Noisy pixels at random places give 0 within five standard errors of the
+    /// mean, and the stated errors cover the scatter. Every second column, and the right half, are detected.
     #[test]
     fn parts_of_the_sensor_are_no_single_pixels() {
         let (side, campaigns) = (32usize, 200u32);
@@ -483,7 +483,7 @@ mod tests {
         let cases: [(Noisy, [f64; 2]); 3] = [
             (anywhere, [0.0, 0.0]),
             (|_, x| x % 2 == 1, [0.25, 0.25]),
-            // Of pairs of columns those across the middle are unlike: 2 of 30.
+            // Pairs of columns across the middle are unequal: 2 of 30.
             (|_, x| x >= 16, [0.25 * (1.0 - 2.0 * 2.0 / 30.0), 0.25]),
         ];
         for (noisy, expected) in cases {
@@ -504,7 +504,7 @@ mod tests {
         }
     }
 
-    /// A run of frames as a pass sums it up.
+    /// Builds a run of frames as a pass sums it up.
     fn run(exposure_s: f64, frames: usize, mut pixel: impl FnMut(usize) -> Vec<f64>, pixels: usize) -> Group {
         let mut out = Group {
             exposure_s,
@@ -526,19 +526,19 @@ mod tests {
         out
     }
 
-    /// Noise of pixels that stand out.
+    /// Noise of the pixels that stand out.
     #[derive(Clone, Copy, PartialEq)]
     enum Noise {
         Normal,
-        /// Jumps in any frame.
+        /// Two levels, with jumps in any frame.
         Jumps,
-        /// A level that stays for the frames of a run.
+        /// A level that persists for a run.
         Stays,
     }
 
-    /// 200 campaigns of two halves of two runs, of one exposure and of two. Noisy pixels that scatter
-    /// normally have an excess of 0 within the stated errors. Pixels that jump have nearly -1, in runs of
-    /// three frames and in long ones, and over many runs also if a level stays for a run.
+    /// 200 campaigns of two halves of two runs, of one exposure and of two. Noisy pixels with normal noise
+    /// have an excess of 0 within the stated errors. Jumping pixels have nearly -1, in runs of three frames
+    /// and in long ones, and over many runs also if a level persists for a run.
     #[test]
     fn noisy_pixels_and_two_levels_are_told_apart() {
         let (side, campaigns) = (32usize, 200u32);
@@ -577,8 +577,8 @@ mod tests {
             assert!(mean.abs() < 5.0 * scatter / root, "{frames}: {mean}");
             assert!((stated / scatter - 1.0).abs() < 0.25, "{frames}: {stated}, scatter {scatter}");
         }
-        // Jumps have 64 of a variance of 65, and 0.97 is the square of that. A quarter of the runs of three
-        // frames has no jump, and an eighth of those of four.
+        // Jumps have 64 of a variance of 65, and 0.97 is the square of this ratio. A quarter of the runs of
+        // three frames has no jump, and an eighth of those of four.
         for (frames, apart, least) in
             [(3, true, 0.84), (4, true, 0.9), (8, true, 0.94), (16, true, 0.94), (4, false, 0.9)]
         {
@@ -586,13 +586,13 @@ mod tests {
             let error = 5.0 * scatter / root;
             assert!(mean - error < -least && mean + error > -1.0, "{frames}: {mean} {scatter}");
         }
-        // Of eight runs one in a hundred pixels is always on one level, and weighs as normal noise does.
+        // Over eight runs one in a hundred pixels always stays on one level and counts as normal noise.
         let (mean, scatter, _, root) = of_all(Noise::Stays, 2, 8, false);
         assert!(mean + 5.0 * scatter / root < -0.9, "{mean} {scatter}");
     }
 
-    /// Over 300 campaigns of three runs: of pixels that are alike 0, and the error covers it; of a tenth of the pixels with one more of
-    /// variance 0.1 * 0.9, within five standard errors of the mean.
+    /// 300 campaigns of three runs. Equal pixels give 0 within the stated error; a tenth of the pixels with
+    /// twice the variance gives 0.1 * 0.9 within five standard errors of the mean.
     #[test]
     fn only_what_stays_with_its_pixels_counts() {
         let (side, campaigns) = (32usize, 300u32);
@@ -601,7 +601,7 @@ mod tests {
             let mut steady = Steady::new(side * side);
             let mut rng = PixelRng::new(9, Stream::Effect, 0, campaign, 0);
             for _ in 0..3 {
-                // The variance of five numbers: chi-squared of four degrees of freedom over four.
+                // Variance of five numbers: chi-squared of four degrees of freedom over four.
                 let var = |i: usize| {
                     let chi2: f64 = (0..4).map(|_| rng.normal().powi(2)).sum();
                     (chi2 / 4.0 * if i.is_multiple_of(10) { 1.0 + more } else { 1.0 }) as f32
@@ -618,7 +618,7 @@ mod tests {
             let mean = all.iter().map(|v| v.value).sum::<f64>() / n;
             let scatter = (all.iter().map(|v| (v.value - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
             assert!((mean - expected).abs() < 5.0 * scatter / n.sqrt(), "{mean}, not {expected}");
-            // Jackknife errors are known to some per cent each: their mean to less than a tenth.
+            // Each jackknife error is known to a few per cent, and their mean to better than a tenth.
             let stated = (all.iter().map(|v| v.std_err * v.std_err).sum::<f64>() / n).sqrt();
             assert!((stated / scatter - 1.0).abs() < 0.25, "{stated}, scatter {scatter}");
         }

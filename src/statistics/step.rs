@@ -1,20 +1,20 @@
-//! Whether numbers in an order have one mean, or another one from some place on.
+//! Test for a step in the mean of an ordered list of numbers.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// The step that splits a list best.
+/// Step that splits a list best.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// Mean of those from there on less that of those before.
+    /// Mean from the step on minus the mean before.
     pub difference: f64,
-    /// Its standard error from the scatter within both.
+    /// Standard error from the scatter within both parts.
     pub std_err: f64,
-    /// Chance of a step as large, somewhere, in independent normal numbers: that of Student's t, times the places (Bonferroni; a little
-    /// too large, since places side by side tell the same).
+    /// Chance probability of a step as large, at any place, in independent normal numbers: that of Student's
+    /// t, times the number of places (Bonferroni; slightly too large, since adjacent places are correlated).
     pub p_value: f64,
 }
 
-/// Looks at every place; `None` with fewer than four numbers or where all are the same.
+/// Finds the largest step over all places; `None` for fewer than four numbers or if all are equal.
 pub fn largest(values: &[f64]) -> Option<Step> {
     let n = values.len() as f64;
     let student = (values.len() >= 4).then(|| StudentsT::new(0.0, 1.0, n - 2.0).ok()).flatten()?;
@@ -26,7 +26,7 @@ pub fn largest(values: &[f64]) -> Option<Step> {
         before += v;
         let (first, rest) = (k as f64 + 1.0, n - k as f64 - 1.0);
         let difference = (sum - before) / rest - before / first;
-        // What the step takes of the sum of squares, and what is left within both.
+        // Sum of squares explained by the step, and residual within both parts.
         let taken = difference * difference * first * rest / n;
         let std_err = ((spread - taken).max(1e-12 * spread) / (n - 2.0) * (1.0 / first + 1.0 / rest)).sqrt();
         if std_err > 0.0 && best.is_none_or(|b| taken > b.2) {
@@ -47,7 +47,8 @@ mod tests {
         (0..n).map(|i| PixelRng::new(seed, Stream::Effect, 0, i, 0).normal()).collect()
     }
 
-    /// Of 4000 lists no more have a small chance than is said, within four standard errors; and no fewer than a third of that.
+    /// Among 4000 lists no more have a small p-value than stated, within four standard errors, and no fewer
+    /// than a third of that.
     #[test]
     fn chances_are_those_of_independent_numbers() {
         for n in [8, 24] {
@@ -60,7 +61,8 @@ mod tests {
         }
     }
 
-    /// A step of four deviations is found where it is, with its size within five standard errors; equal numbers have none.
+    /// A step of four deviations is found, with its size within five standard errors; equal numbers have
+    /// none.
     #[test]
     fn a_step_is_found() {
         for seed in 0..50 {

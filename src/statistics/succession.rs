@@ -1,6 +1,6 @@
-//! Whether numbers scatter one by one: the products of successive deviations from their mean.
+//! Serial correlation of numbers: products of successive deviations from their mean.
 
-/// Sum of the squares of deviations from the mean, and of the products of successive ones.
+/// Computes the sum of squared deviations from the mean, and the sum of products of successive deviations.
 pub fn sums(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     let n = values.clone().count().max(1) as f64;
     let mean = values.clone().sum::<f64>() / n;
@@ -14,8 +14,9 @@ pub fn sums(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     (square, product)
 }
 
-/// Mean and standard deviation of the products over the squares, for n independent normal numbers of one deviation (R. L. Anderson 1942,
-/// Ann. Math. Stat. 13, 1; the mean is exact, the deviation to some per cent from four numbers on).
+/// Returns mean and standard deviation of the products over the squares, for n independent normal numbers of
+/// equal variance (R. L. Anderson 1942, Ann. Math. Stat. 13, 1; the mean is exact, the deviation to a few per
+/// cent from four numbers on).
 pub fn of_independent(n: f64) -> (f64, f64) {
     (-1.0 / n, (n - 2.0) / n / (n - 1.0).sqrt())
 }
@@ -25,7 +26,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// 4000 lists: the mean within five of its errors, the deviation within ten per cent from eight numbers on, and fifteen for four.
+    /// 4000 lists: the mean agrees within five of its errors, the deviation within ten per cent from eight
+    /// numbers on, and fifteen for four.
     #[test]
     fn independent_numbers_have_the_moments_that_are_said() {
         for (n, slack) in [(4u32, 0.15), (8, 0.1), (16, 0.1), (40, 0.1)] {

@@ -1,29 +1,30 @@
-//! Covariance of a pixel's noise with that in the next frame, from mean square successive differences (von Neumann 1941).
+//! Covariance of a pixel's noise in successive frames, from mean square successive differences (von Neumann
+//! 1941).
 
 use super::jackknife::{Blocks, Value};
 use super::layout::Layout;
 
-/// Squared differences of successive frames, and the frames at both ends.
+/// Squared differences of successive frames, and the first and last frame.
 #[derive(Debug, Clone)]
 pub struct Successive {
     squares: Vec<f32>,
-    /// The first and the last frame, less their means, DN.
+    /// First and last frame minus their means, DN.
     first: Vec<f32>,
     last: Vec<f32>,
 }
 
 impl Successive {
-    /// For frames of so many pixels.
+    /// Creates an accumulator for frames of this number of pixels.
     pub fn new(pixels: usize) -> Self {
         Self { squares: vec![0.0; pixels], first: vec![0.0; pixels], last: vec![0.0; pixels] }
     }
 
-    /// Forgets every frame.
+    /// Discards all frames.
     pub fn clear(&mut self) {
         self.squares.fill(0.0);
     }
 
-    /// A row of the next frame, less the frame's mean, from place `at` on.
+    /// Adds a row of the next frame, minus the frame's mean, from pixel `at` on.
     #[inline(always)]
     pub fn row(&mut self, at: usize, row: &[f32], is_first: bool) {
         let last = &mut self.last[at..][..row.len()];
@@ -37,16 +38,16 @@ impl Successive {
         last.copy_from_slice(row);
     }
 
-    /// Adds the frames that follow.
+    /// Merges the frames that follow.
     pub fn merge(&mut self, later: &Self) {
         let seam = self.last.iter().zip(&later.first).map(|(a, b)| (b - a) * (b - a));
         self.squares.iter_mut().zip(&later.squares).zip(seam).for_each(|((s, o), seam)| *s += o + seam);
         self.last.copy_from_slice(&later.last);
     }
 
-    /// Covariance of a pixel's noise in successive frames, DN^2: their mean product, and the variance over the number of frames that
-    /// taking off the mean took with it; 0 for independent frames. `squares` are the squared deviations and `mean` the means of the
-    /// pixels.
+    /// Covariance of a pixel's noise in successive frames, DN^2: the mean product, plus the variance over the
+    /// number of frames, which subtracting the mean removed; 0 for independent frames. `squares`: squared
+    /// deviations; `mean`: means of the pixels.
     pub fn finish(&self, layout: &Layout, dof: f64, squares: &[f32], mean: &[f32]) -> Value {
         let mut blocks = Blocks::default();
         layout.runs(|run, count, block| {
@@ -62,8 +63,8 @@ impl Successive {
     }
 }
 
-/// Standard error of that covariance over the variance, for one pixel of independent normal noise: of a quadratic form with the matrix
-/// M it is the root of 2 tr (P M P)^2, where P takes off the mean.
+/// Computes the standard error of this covariance over the variance, for one pixel of independent normal
+/// noise: for a quadratic form with matrix M it is the root of 2 tr (P M P)^2, where P subtracts the mean.
 pub fn error_of(frames: usize) -> f64 {
     let n = frames as f64;
     let form = |i: usize, j: usize| match i.abs_diff(j) {
@@ -71,7 +72,7 @@ pub fn error_of(frames: usize) -> f64 {
         1 => 0.5 / (n - 1.0),
         _ => 0.0,
     };
-    // A row has the diagonal and one or two beside it.
+    // A row holds the diagonal and one or two elements beside it.
     let row = |i: usize| {
         let beside = f64::from(u8::from(i > 0)) + f64::from(u8::from(i + 1 < frames));
         (form(0, 0) + beside * form(0, 1)) / n
@@ -86,7 +87,8 @@ pub fn error_of(frames: usize) -> f64 {
 mod tests {
     use super::error_of;
 
-    /// Two frames say nothing; of three the middle one does: -r^2 / 2 + (sum of squares) / 6, of variance 1/9.
+    /// Two frames carry no information. For three the estimate is -r^2 / 2 + (sum of squares) / 6, with r of
+    /// the middle frame, of variance 1/9.
     #[test]
     fn few_frames_say_little() {
         assert!(error_of(2) < 1e-12);

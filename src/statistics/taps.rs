@@ -1,18 +1,19 @@
-//! Steps in the mean image where parts of the sensor may be read through different amplifiers: between the middle lines, and between
-//! odd lines and even ones; in proportion to the signal and constant. Errors come from what all other lines show.
+//! Steps in the mean image between parts of the sensor that may be read through different amplifiers: between
+//! the middle lines, and between odd and even lines; in proportion to the signal and constant. Errors come
+//! from the scatter of all other lines.
 
 use super::jackknife::Value;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
-/// Lines on each side of a step that are averaged.
+/// Lines averaged on each side of a step.
 const REACH: usize = 4;
-/// Standard deviations at which the farthest of a dozen normal numbers lies: so many places of eight lines a
-/// hundred lines have.
+/// Distance of the farthest of a dozen normal numbers, in standard deviations: a hundred lines have about a
+/// dozen places of eight lines.
 const FARTHEST: f64 = 2.5;
-/// Lines from which on steps are looked for.
+/// Minimum number of lines for a search.
 const FEWEST: usize = 64;
 
-/// Slope with the signal and value without it of something that every profile shows, by least squares.
+/// Fits a quantity of every profile by least squares: slope with the signal, and value at zero signal.
 fn line(profiles: &[(f64, &[f64])], of: impl Fn(&[f64]) -> f64) -> (f64, f64) {
     let n = profiles.len() as f64;
     let points = || profiles.iter().map(|(m, p)| (*m, of(p)));
@@ -24,20 +25,20 @@ fn line(profiles: &[(f64, &[f64])], of: impl Fn(&[f64]) -> f64) -> (f64, f64) {
     (slope, my - slope * mx)
 }
 
-/// The step between the middle lines, relative and in DN, of profiles (means of lines, DN) with their signals,
-/// DN. `kept`: places of the lines that have pixels, rising. `None` for fewer than 64 of them, and where those in
-/// the middle have none.
+/// Estimates the step between the middle lines, relative and in DN, from profiles (line means, DN) with their
+/// signals, DN. `kept`: places of the lines that have pixels, ascending. `None` for fewer than 64 of them, or
+/// if the lines in the middle have no pixels.
 pub fn middle(profiles: &[(f64, &[f64])], kept: &[usize]) -> Option<[Value; 2]> {
     let all = profiles.first()?.1.len();
     let (lines, middle) = (kept.len(), kept.iter().filter(|x| **x < all / 2).count());
     if lines < FEWEST || !(2 * REACH..=lines - 2 * REACH).contains(&middle) {
         return None;
     }
-    // Across a gap as wide as what is averaged the shading hides a step.
+    // Shading hides a step across a gap as wide as the averaged lines.
     if kept[middle] - kept[middle - 1] > REACH {
         return None;
     }
-    // A slope and a bend of the shading are taken off.
+    // Slope and bend of the shading are subtracted.
     let step = |profile: &[f64], x: usize| {
         let part =
             |from: usize| kept[from..from + REACH].iter().map(|x| profile[*x]).sum::<f64>() / REACH as f64;
@@ -50,25 +51,25 @@ pub fn middle(profiles: &[(f64, &[f64])], kept: &[usize]) -> Option<[Value; 2]> 
     let here = at(middle);
     let rms = |of: &dyn Fn(&(f64, f64)) -> f64| {
         let square = others.iter().map(|o| of(o).powi(2)).sum::<f64>() / others.len() as f64;
-        // Dust and edges of shading are rare and large: one may lie in the middle, and is no step.
+        // Dust and edges of shading are rare and large: one may lie in the middle without being a step.
         let largest = others.iter().map(|o| of(o).abs()).fold(0.0, f64::max);
         square.sqrt().max(largest / FARTHEST).max(1e-9) * of_few(lines)
     };
     Some([Value { value: here.0, std_err: rms(&|o| o.0) }, Value { value: here.1, std_err: rms(&|o| o.1) }])
 }
 
-/// Chance at which an error that few places tell has the coverage of a normal one (a named choice).
+/// Probability at which an error from few places has the coverage of a normal one (a named choice).
 const COVERED: f64 = 0.01;
 
-/// Factor of an error that so few places tell: steps beyond 2.6 of the errors then come as seldom by chance as of
-/// normal numbers, one in a hundred. Places share no lines that lie two reaches apart or more (Student 1908).
+/// Computes the factor of an error from few places: steps beyond 2.6 of the errors are then as rare by chance
+/// as for normal numbers, one in a hundred. Places two reaches or more apart share no lines (Student 1908).
 fn of_few(lines: usize) -> f64 {
     let places = lines.saturating_sub(4 * REACH) as f64 / (2 * REACH) as f64;
     let of_places = StudentsT::new(0.0, 1.0, places.max(1.0)).map(|t| t.inverse_cdf(0.5 * COVERED));
     of_places.map_or(1.0, |t| t / Normal::standard().inverse_cdf(0.5 * COVERED))
 }
 
-/// What odd lines have more than even ones, relative and in DN, as [`middle`].
+/// Estimates odd lines minus even lines, relative and in DN, as [`middle`].
 pub fn odd(profiles: &[(f64, &[f64])], kept: &[usize]) -> Option<[Value; 2]> {
     let beside = kept.windows(3).filter(|w| w[1] % 2 == 1 && w[2] - w[0] == 2);
     let all: Vec<(f64, f64)> =
@@ -80,7 +81,8 @@ pub fn odd(profiles: &[(f64, &[f64])], kept: &[usize]) -> Option<[Value; 2]> {
     let of = |pick: &dyn Fn(&(f64, f64)) -> f64| {
         let mean = all.iter().map(pick).sum::<f64>() / n;
         let var = all.iter().map(|a| (pick(a) - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        // Of a variance 3/2 each; neighbours share an even line, which adds 1/2 to the variance of the mean.
+        // Each has a variance of 3/2; neighbours share an even line, which adds 1/2 to the variance of the
+        // mean.
         Value { value: mean, std_err: (var * (4.0 / 3.0) / n).sqrt().max(1e-9) }
     };
     Some([of(&|a| a.0), of(&|a| a.1)])
@@ -91,7 +93,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Lines with a pattern of their own, over many draws: nothing is found where there is nothing, and a step of 1 % and 2 DN is.
+    /// Many draws of lines with a fixed pattern: no step is found if there is none; a step of 1 % and 2 DN is
+    /// found.
     #[test]
     fn errors_cover_and_steps_are_found() {
         let mut random = PixelRng::new(11, Stream::Effect, 0, 0, 0);
@@ -123,16 +126,16 @@ mod tests {
                 assert!((found.value - truth).abs() < 5.5 * found.std_err, "{found:?} {truth}");
             }
         }
-        // 300 squares of unit mean: a deviation of 0.08, and errors that are estimates themselves, for which the
-        // middle's are larger by a quarter.
+        // 300 squares of unit mean have a deviation of 0.08. The errors are estimates themselves, for which
+        // those of the middle are larger by a quarter.
         for (k, s) in squares.iter().enumerate() {
             let expected = if k < 2 { of_few(128).powi(-2) } else { 1.0 };
             assert!((s / f64::from(trials) - expected).abs() < 0.35, "{squares:?}");
         }
     }
 
-    /// A hundred lines without a step, 4000 times: no more steps beyond 2.6 standard errors than chance has, and
-    /// three standard deviations of their number (1 in 100: 40 +- 6.3).
+    /// A hundred lines without a step, 4000 times: steps beyond 2.6 standard errors are no more frequent than
+    /// by chance plus three standard deviations of their number (1 in 100: 40 +- 6.3).
     #[test]
     fn few_lines_make_no_steps() {
         let mut random = PixelRng::new(13, Stream::Effect, 0, 0, 0);

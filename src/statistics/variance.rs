@@ -1,22 +1,22 @@
-//! Temporal variance of every pixel, its mean, and how far the pixels differ in it.
+//! Temporal variance of every pixel, its mean, and its spread over the pixels.
 
 use super::jackknife::{Blocks, Value};
 use super::layout::Layout;
 use super::quadratic::Quadratic;
 
-/// Squared deviations of every pixel.
+/// Sums of squared deviations of every pixel.
 #[derive(Debug, Clone)]
 pub struct Variance {
     squares: Vec<f32>,
 }
 
 impl Variance {
-    /// For frames of so many pixels.
+    /// Creates an accumulator for frames of this number of pixels.
     pub fn new(pixels: usize) -> Self {
         Self { squares: vec![0.0; pixels] }
     }
 
-    /// Forgets every frame.
+    /// Discards all frames.
     pub fn clear(&mut self) {
         self.squares.fill(0.0);
     }
@@ -29,7 +29,7 @@ impl Variance {
     /// Mean over the pixels, DN^2.
     pub fn finish(&self, layout: &Layout, dof: f64) -> Value {
         let mut blocks = Blocks::default();
-        // Where a pixel does not count its squares are 0.
+        // Masked pixels have squares of 0.
         layout.runs(|run, count, block| {
             let sum: f64 = self.squares[run].iter().map(|s| f64::from(*s)).sum();
             blocks.add(block, sum / dof, count);
@@ -37,10 +37,11 @@ impl Variance {
         blocks.value()
     }
 
-    /// Excess of the spread of the pixels' variances over what the frames allow, 0 for pixels that are alike and normal.
+    /// Excess of the spread of the pixels' variances over sampling scatter; 0 for equal pixels with normal
+    /// noise.
     ///
-    /// Each pixel is compared with what its own mean lets expect: hot pixels and shading have more shot noise. In the dark what
-    /// differs is mostly offset; only what stands out there is signal.
+    /// Each pixel is compared with the expectation at its own mean: hot pixels and shading have more shot
+    /// noise. Differences in the dark are mostly offset; only pixels that stand out carry signal there.
     pub fn tails(&self, layout: &Layout, dof: f64, mean_dn: impl Fn(usize) -> f64) -> Value {
         let var = self.finish(layout, dof).value;
         let zero = layout.zero.as_deref();

@@ -1,8 +1,8 @@
-//! Dark reference (Section V.A, eq. 43): what each pixel shows without light, at any exposure.
+//! Dark reference (Section V.A, eq. 43): level of each pixel without light, at any exposure.
 
 use ndarray::{Array2, Zip};
 
-/// The mean of some dark frames of one exposure.
+/// Mean of dark frames of one exposure.
 #[derive(Debug, Clone)]
 pub struct DarkMean {
     /// Exposure, s.
@@ -22,35 +22,35 @@ pub struct DarkReference {
     pub exposure_s: f64,
     /// D_D at that exposure, (rows, columns), DN, black level included.
     pub level_dn: Array2<f32>,
-    /// Dark current of each pixel, (rows, columns), DN per second; `None` where the darks have one exposure.
+    /// Dark current of each pixel, (rows, columns), DN per second; `None` if the darks have one exposure.
     pub current_dn_per_s: Option<Array2<f32>>,
     /// Standard error of `level_dn`, pooled over pixels, DN.
     pub std_err_dn: f64,
-    /// Standard error of `current_dn_per_s`, pooled over pixels, DN per second; NaN where it is not known.
+    /// Standard error of `current_dn_per_s`, pooled over pixels, DN per second; NaN if unknown.
     pub current_std_err_dn_per_s: f64,
     /// Temporal variance at the exposure nearest to `exposure_s`, pooled over pixels, DN^2.
     pub var_dn2: f64,
 }
 
-/// Why there is no dark reference.
+/// Error: no dark reference.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DarkError {
-    /// Nothing to average.
+    /// No dark frames.
     #[error("a dark reference needs dark frames, and there are none")]
     None,
     /// Images of different sizes.
     #[error("dark frames of {0:?} and {1:?} px (rows, columns) cannot be put together")]
     Size((usize, usize), (usize, usize)),
-    /// Not measured at this exposure, and no dark current to go by.
+    /// No dark at this exposure, and no dark-current fit to interpolate from.
     #[error(
         "the dark reference holds at {measured_s} s, and {wanted_s} s is asked for; take darks at two or more \
          exposures, or at this one"
     )]
     Exposure {
-        /// Where it was measured, s.
+        /// Measured exposure, s.
         measured_s: f64,
-        /// Where it is wanted, s.
+        /// Requested exposure, s.
         wanted_s: f64,
     },
 }
@@ -58,11 +58,11 @@ pub enum DarkError {
 impl DarkReference {
     /// Fits offset and dark current of every pixel to means at one or more exposures, for use at `exposure_s`.
     ///
-    /// A pixel's exposures are weighted alike for all pixels, by frames over the pooled temporal variance.
+    /// Exposures have the same weights for all pixels: frames over the pooled temporal variance.
     ///
     /// # Errors
     ///
-    /// Where there are no darks at this exposure nor at enough others.
+    /// If there are no darks at this exposure, nor at enough others.
     pub fn fit(darks: &[DarkMean], exposure_s: f64) -> Result<Self, DarkError> {
         let first = darks.first().ok_or(DarkError::None)?;
         let shape = first.mean_dn.dim();
@@ -86,7 +86,7 @@ impl DarkReference {
             mean.scaled_add(w / sum, &d.mean_dn);
         }
         if spread <= 1e-12 * sum * middle_s * middle_s {
-            // One exposure: it holds where it was measured, and nowhere else.
+            // One exposure: the reference is valid only there.
             return Ok(Self {
                 exposure_s: first.exposure_s,
                 level_dn: mean.mapv(|m| m as f32),
@@ -112,8 +112,8 @@ impl DarkReference {
         })
     }
 
-    /// Standard error of D_D at an exposure, DN: no larger than this, since level and current are not independent. Where the error of the current
-    /// is not known it is taken for that of a level at `exposure_s` over `exposure_s`.
+    /// Standard error of D_D at an exposure, DN: an upper bound, since level and current are not independent.
+    /// An unknown error of the current is taken as that of a level at `exposure_s`, over `exposure_s`.
     pub fn std_err_at(&self, exposure_s: f64) -> f64 {
         let level = if self.std_err_dn.is_finite() { self.std_err_dn } else { 0.0 };
         let known = Some(self.current_std_err_dn_per_s).filter(|e| e.is_finite());
@@ -125,7 +125,7 @@ impl DarkReference {
     ///
     /// # Errors
     ///
-    /// Where the dark reference does not reach to this exposure.
+    /// If the dark reference does not extend to this exposure.
     pub fn at(&self, exposure_s: f64) -> Result<Array2<f32>, DarkError> {
         let reach = exposure_s - self.exposure_s;
         match &self.current_dn_per_s {
@@ -134,7 +134,7 @@ impl DarkReference {
                 Ok(Zip::from(&self.level_dn).and(current).map_collect(|&l, &c| l + c * reach as f32))
             }
             None => {
-                // To a nanosecond: what lies below is arithmetic.
+                // To a nanosecond: smaller differences are arithmetic.
                 let tidy = |s: f64| (s * 1e9).round() / 1e9;
                 Err(DarkError::Exposure { measured_s: tidy(self.exposure_s), wanted_s: tidy(exposure_s) })
             }
@@ -142,8 +142,8 @@ impl DarkReference {
     }
 }
 
-/// Dark frames s for a reference whose error is at most `error_dn`, with noise of variance `var_dn2`: the variance of the
-/// mean is sigma_N^2 / s (after eq. 43).
+/// Computes the number s of dark frames for a reference with an error of at most `error_dn`, with noise of
+/// variance `var_dn2`: the variance of the mean is sigma_N^2 / s (after eq. 43).
 ///
 /// ```
 /// // Half a step's third, in the paper's camera: 1.156 DN^2 in the dark.
@@ -171,8 +171,7 @@ mod tests {
         DarkMean { exposure_s, frames, mean_dn: moments.mean_dn(), var_dn2: moments.variance_dn2() }
     }
 
-    /// Offset and dark current of every pixel are found: the pixels' deviations have the stated size, hot ones included
-    /// (they have more noise, so that they are compared with their own).
+    /// Offset and dark current of every pixel are recovered: the pixels' deviations have the stated size.
     #[test]
     fn every_pixels_dark_line_is_found() {
         let mut model = sensors::load("cmos12").unwrap();

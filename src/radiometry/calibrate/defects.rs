@@ -1,4 +1,4 @@
-//! Pixels that do not follow the model: hot, dead, unstable and blind ones, each with its reason.
+//! Defect pixels: hot, dead, unstable and blind ones, each with its reason.
 
 use super::dark::DarkMean;
 use crate::statistics::lit::Lit;
@@ -8,30 +8,30 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Flag of a pixel whose dark signal stands out.
 pub const HOT: u8 = 1;
-/// Flag of a pixel that hardly answers to light, or far too much.
+/// Flag of a pixel that hardly responds to light, or far too much.
 pub const DEAD: u8 = 2;
 /// Flag of a pixel whose dark values scatter more than the noise of its neighbours.
 pub const UNSTABLE: u8 = 4;
-/// Flag of a pixel that no light reaches, as its neighbours: outside the image circle of the lens, optically
-/// black, or overscan.
+/// Flag of a pixel that no light reaches, like its neighbours: outside the image circle of the lens,
+/// optically black, or overscan.
 pub const BLIND: u8 = 8;
-/// Every flag.
+/// All flags.
 pub const ALL_FLAGS: u8 = HOT | DEAD | UNSTABLE | BLIND;
-/// Flags of pixels whose response is not known: K = 1 stands in its place.
+/// Flags of pixels of unknown response: their K is set to 1.
 pub const NO_RESPONSE: u8 = DEAD | BLIND;
 
-/// Deviations (robust, of all pixels) from which a dark signal is hot.
+/// Minimum dark signal of a hot pixel, in robust standard deviations of all pixels.
 const HOT_SIGMA: f64 = 8.0;
 /// K below which, and above whose inverse, a pixel is dead.
 pub(super) const DEAD_K: f32 = 0.5;
-/// Largest K that is said as a number.
+/// Maximum K that is printed as a number.
 const MAX_SAID_K: f64 = 100.0;
-/// Chance that one sound pixel of the whole frame counts as unstable.
+/// Probability that one sound pixel of the whole frame counts as unstable.
 const UNSTABLE_CHANCE: f64 = 1e-3;
-/// Temporal variance over the usual one that an unstable pixel has at least: what matters to a user.
+/// Minimum temporal variance of an unstable pixel over the usual one: what matters to a user.
 const UNSTABLE_RATIO: f64 = 2.0;
 
-/// A defect with what was seen.
+/// Defect pixel with its measurements.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Defect {
     /// Row.
@@ -44,12 +44,12 @@ pub struct Defect {
     pub dark_excess_dn: f64,
     /// K.
     pub k: f64,
-    /// Temporal variance in the dark over what such a pixel should have.
+    /// Temporal variance in the dark over that expected of such a pixel.
     pub variance_ratio: f64,
 }
 
 impl Defect {
-    /// The reason in words.
+    /// Formats the reason.
     pub fn reason(&self) -> String {
         let mut why = Vec::new();
         if self.flags & HOT != 0 {
@@ -74,10 +74,10 @@ impl Defect {
     }
 }
 
-/// Defects of a camera, row by row. `gain_dn_per_e` grants a hot pixel the shot noise of its dark charge; without it the
-/// growth of variance with the dark signal is taken from the pixels themselves.
+/// Finds the defects of a camera, row by row. `gain_dn_per_e` allows a hot pixel the shot noise of its dark
+/// charge; without it, 1 DN/e is assumed.
 ///
-/// Hot pixels are looked for at the longest exposure, unstable ones at the exposure with the most frames.
+/// Hot pixels are searched at the longest exposure, unstable ones at the exposure with the most frames.
 pub fn find(darks: &[DarkMean], k: &Array2<f32>, light: &Lit, gain_dn_per_e: Option<f64>) -> Vec<Defect> {
     let longest = darks.iter().max_by(|a, b| a.exposure_s.total_cmp(&b.exposure_s));
     let most = darks.iter().filter(|d| d.frames >= 3).max_by_key(|d| d.frames);
@@ -118,13 +118,13 @@ pub fn find(darks: &[DarkMean], k: &Array2<f32>, light: &Lit, gain_dn_per_e: Opt
     found
 }
 
-/// For each flagged pixel the nearest sound ones that replace it: places in the frame, row by row. A pixel without any
-/// within three rows and columns stays as it is.
+/// Returns for each flagged pixel the nearest sound ones that replace it: places in the frame, row by row. A
+/// pixel without any within three rows and columns is not replaced.
 pub fn replacements(flags: &Array2<u8>) -> Vec<(usize, Vec<usize>)> {
     replacements_of(flags, 1)
 }
 
-/// The same where pixels of one colour are `step` apart: only those of the pixel's own colour replace it.
+/// As `replacements`, for pixels of one colour `step` apart: only pixels of the same colour replace a pixel.
 pub fn replacements_of(flags: &Array2<u8>, step: usize) -> Vec<(usize, Vec<usize>)> {
     let (rows, columns) = flags.dim();
     let around = |y: usize, x: usize, reach: usize| -> Vec<usize> {
@@ -153,7 +153,7 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Ten thousand pixels with noise, three of them broken in their own ways; only those are found.
+    /// Ten thousand pixels with noise, three of them defective in different ways; only those are found.
     #[test]
     fn broken_pixels_are_found_and_sound_ones_are_not() {
         let shape = (100, 100);

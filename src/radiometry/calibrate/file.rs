@@ -1,7 +1,7 @@
-//! The calibration file: a multi-page TIFF of 32-bit floats with its meaning in the first page's description.
+//! Calibration file: a multi-page TIFF of 32-bit floats with its meaning in the first page's description.
 //!
-//! Page 0 is the dark reference in DN, page 1 is K with mean 1, then the standard error of K, the flags of defects, and the
-//! dark current in DN per second where it is known. ImageJ, OpenCV and tifffile open it.
+//! Page 0 is the dark reference in DN, page 1 is K with mean 1, then the standard error of K, the flags of
+//! defects, and the dark current in DN per second if known. ImageJ, OpenCV and tifffile open the file.
 
 use crate::calibrate::dark::DarkReference;
 use crate::calibrate::defects::{ALL_FLAGS, BLIND, Defect};
@@ -20,14 +20,14 @@ use tiff::tags::Tag;
 /// Name and major version of the format.
 pub const FORMAT: &str = "radcam-calibration/1";
 
-/// The JSON object of the first page's ImageDescription.
+/// JSON object in the first page's ImageDescription.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Description {
     /// [`FORMAT`].
     pub format: String,
-    /// Camera and settings under which the calibration holds.
+    /// Camera and settings for which the calibration is valid.
     pub camera: CameraInfo,
-    /// What each page is.
+    /// Contents of each page.
     pub pages: Vec<String>,
     /// Exposure of the dark reference, s.
     pub dark_exposure_s: f64,
@@ -46,29 +46,30 @@ pub struct Description {
     /// Standard error of the dark current, DN per second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dark_current_std_err_dn_per_s: Option<f64>,
-    /// Mean above the dark reference at which K was measured, DN: there the dark reference's error is in K, with the other sign.
+    /// Mean above the dark reference at which K was measured, DN: there the dark reference's error enters K,
+    /// with the other sign.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub k_level_dn: Option<f64>,
-    /// Pixels with a flag in the map of defects.
+    /// Number of pixels with a flag in the map of defects.
     #[serde(default)]
     pub defects: usize,
-    /// Those among them that no light reaches.
+    /// Number of blind pixels among them.
     #[serde(default)]
     pub blind: usize,
-    /// Configurations n1.
+    /// Number n1 of configurations.
     pub n1: usize,
-    /// Frames n2 averaged in each.
+    /// Number n2 of frames averaged in each.
     pub n2: usize,
     /// Estimator of K.
     pub estimator: String,
-    /// Where it comes from.
+    /// Source of the calibration.
     pub provenance: String,
 }
 
-/// A calibration in memory.
+/// Calibration in memory.
 #[derive(Debug, Clone)]
 pub struct Calibration {
-    /// What it is and where it holds.
+    /// Description and validity.
     pub description: Description,
     /// Dark reference.
     pub dark: DarkReference,
@@ -76,11 +77,11 @@ pub struct Calibration {
     pub k: Array2<f32>,
     /// Standard error of K.
     pub k_std_err: Array2<f32>,
-    /// Flags of [`super::defects`], 0 where the pixel is sound.
+    /// Flags of [`super::defects`], 0 for a sound pixel.
     pub defects: Array2<u8>,
 }
 
-/// Why a calibration file cannot be read or written.
+/// Error: a calibration file cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {message}")]
 pub struct FileError {
@@ -95,12 +96,13 @@ const CURRENT: &str = "dark_current_dn_per_s";
 const DEFECTS: &str = "defects";
 
 impl Description {
-    /// True where K contains the light of the flats: a correction takes off lens shading, lamp and card as well.
+    /// Returns true if K contains the light of the flats: a correction removes lens shading, lamp and card as
+    /// well.
     pub fn is_flat_field(&self) -> bool {
         self.estimator.starts_with(super::flat_field::NAME)
     }
 
-    /// Error of K that the dark reference leaves: its own over the level at which K was measured.
+    /// Error of K from the dark reference: that of the reference over the level at which K was measured.
     pub fn dark_error_of_k(&self) -> f64 {
         match (self.dark_std_err_dn, self.k_level_dn) {
             (Some(error), Some(level)) => error / level,
@@ -108,7 +110,7 @@ impl Description {
         }
     }
 
-    /// Kind of correction that it makes, in words.
+    /// Kind of correction, as text.
     pub fn correction(&self) -> &'static str {
         if self.is_flat_field() {
             "flat-field: the light of the flats is taken off"
@@ -117,7 +119,7 @@ impl Description {
         }
     }
 
-    /// Refuses numbers that cannot be.
+    /// Refuses impossible values.
     ///
     /// # Errors
     ///
@@ -131,12 +133,12 @@ impl Description {
         if width.min(height) == 0 || width.max(height) > 1 << 16 {
             return Err(format!("camera size {width} x {height} px makes no image"));
         }
-        /// Largest number of DN or DN^2 that codes of 16 bits make.
+        /// Maximum level of 16-bit codes, DN; its square, for variances, DN^2.
         const MAX_DN: f64 = 65_536.0;
         let some = |name, value: Option<f64>, min, max| value.map(|v| (name, v, min, max));
         let [var_gain, _, var_noise] = self.noise_covariance.map_or([None; 3], |c| c.map(Some));
         let covariance = self.noise_covariance.map(|c| c[1]);
-        // A dark reference of no exposure is the black level alone; a day is longer than any.
+        // A dark reference of no exposure is the black level alone; a day exceeds any exposure.
         let bounds = [
             some("dark_exposure_s", Some(self.dark_exposure_s), 0.0, 86_400.0),
             some("gain_dn_per_e", self.gain_dn_per_e, f64::MIN_POSITIVE, MAX_DN),
@@ -162,7 +164,7 @@ impl Description {
         Ok(())
     }
 
-    /// A description of nothing but the camera.
+    /// Creates a description of the camera only.
     pub fn of(camera: CameraInfo) -> Self {
         Self {
             format: FORMAT.into(),
@@ -186,13 +188,13 @@ impl Description {
     }
 }
 
-/// Refuses a K that no camera has.
+/// Refuses an impossible K.
 fn check_k(k: &Array2<f32>, defects: &Array2<u8>) -> Result<(), String> {
     /// Bounds of K.
     const BOUNDS: (f32, f32) = (0.1, 10.0);
-    /// Bounds of K of a pixel that is flagged: it is not used, and a corrected frame shows it.
+    /// Bounds of K for a flagged pixel: it is not used, but visible in a corrected frame.
     const BOUNDS_OF_DEFECTS: (f32, f32) = (1e-3, 1e3);
-    /// Mean of K: 1 by its definition, less defects, shading at the rim and rounding.
+    /// Bounds of the mean of K: 1 by definition, apart from defects, shading at the rim and rounding.
     const MEANS: (f64, f64) = (0.8, 1.25);
     let (mut sum, mut sound) = (0.0, 0usize);
     for (((y, x), k), flags) in k.indexed_iter().zip(defects) {
@@ -212,7 +214,7 @@ fn check_k(k: &Array2<f32>, defects: &Array2<u8>) -> Result<(), String> {
     Ok(())
 }
 
-/// Flags of defects from their page.
+/// Converts the page of defects to flags.
 fn flags_of(page: &Array2<f32>) -> Result<Array2<u8>, String> {
     let known = |f: f32| f.fract() == 0.0 && (0.0..=f32::from(ALL_FLAGS)).contains(&f);
     match page.indexed_iter().find(|(_, f)| !known(**f)) {
@@ -224,7 +226,7 @@ fn flags_of(page: &Array2<f32>) -> Result<Array2<u8>, String> {
 }
 
 impl Calibration {
-    /// Puts a calibration together; `description.format` and `.pages` are filled in.
+    /// Assembles a calibration; `description.format` and `.pages` are filled in.
     pub fn new(
         mut description: Description,
         dark: DarkReference,
@@ -242,7 +244,7 @@ impl Calibration {
         description.defects = found.len();
         description.blind = found.iter().filter(|d| d.flags & BLIND != 0).count();
         description.k_level_dn = Some(pattern.level_dn).filter(|l| l.is_finite() && *l > 0.0);
-        // Every configuration has the same dark reference taken off: its error does not average out.
+        // All configurations share the subtracted dark reference: its error does not average out.
         let shared = description.dark_error_of_k() as f32;
         description.dark_exposure_s = dark.exposure_s;
         description.pages = vec![DARK.into(), K.into(), K_ERROR.into(), DEFECTS.into()];
@@ -259,7 +261,7 @@ impl Calibration {
     }
 
     /// Standard deviation of a pixel's noise in the dark, with the shot noise of the charge that brings it to
-    /// `dark_dn`, DN (eq. 41); 1 DN where it is not known or smaller.
+    /// `dark_dn`, DN (eq. 41); 1 DN if unknown or smaller.
     pub fn dark_noise_dn(&self, dark_dn: f32) -> f64 {
         let d = &self.description;
         let charge_dn = d.offset_dn.map_or(0.0, |offset| f64::from(dark_dn) - offset);
@@ -267,16 +269,16 @@ impl Calibration {
         (d.constant_noise_var_dn2.unwrap_or(0.0) + shot_dn2).max(1.0).sqrt()
     }
 
-    /// Pixels after which a colour comes again in a row and in a column: 2 in a mosaic, otherwise 1.
+    /// Period of a colour in rows and columns, pixels: 2 for a mosaic, otherwise 1.
     pub fn period(&self) -> usize {
         if self.description.camera.is_mosaic() { 2 } else { 1 }
     }
 
-    /// Writes the file whole or not at all, once [`read`](Self::read) has accepted it.
+    /// Writes the file atomically, after checking that [`read`](Self::read) accepts it.
     ///
     /// # Errors
     ///
-    /// Where the file cannot be written, or could not be read again.
+    /// If the file cannot be written, or could not be read again.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         let bytes = self.to_bytes(path)?;
         Self::from_bytes(&bytes, path).map_err(|e| FileError {
@@ -314,18 +316,18 @@ impl Calibration {
         Ok(out.into_inner())
     }
 
-    /// Reads a file; one that was cut short, edited or is of another version is refused by name.
+    /// Reads a file; truncated or edited files and other versions are refused with the file's name.
     ///
     /// # Errors
     ///
-    /// Where the file cannot be read or is no calibration.
+    /// If the file cannot be read or is no calibration.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let bytes =
             input::bytes(path).map_err(|e| FileError { path: path.into(), message: e.to_string() })?;
         Self::from_bytes(&bytes, path)
     }
 
-    /// The same from bytes; `path` stands in errors.
+    /// Reads a calibration from bytes; `path` is used in errors.
     fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
         let fault = |message: String| FileError { path: path.into(), message };
         let broken = |e: tiff::TiffError| fault(format!("not a sound calibration file: {e}"));
@@ -455,7 +457,7 @@ mod tests {
         }
     }
 
-    /// The writer is as strict as the reader, and puts nothing in place that the reader would refuse.
+    /// The writer is as strict as the reader, and writes no file that the reader would refuse.
     #[test]
     fn what_could_not_be_read_is_not_written() {
         let dir = tempfile::tempdir().unwrap();

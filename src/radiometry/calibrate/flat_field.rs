@@ -1,19 +1,19 @@
-//! Flat-field correction: the light of the flats in K, so that what was even before the camera is even behind it.
+//! Flat-field correction: K contains the light of the flats, so that an even scene gives an even image.
 //!
 //! A frame I becomes (I - D) / (F - D) times the mean of F - D (Seibert, Boone and Lindfors 1998, Proc. SPIE
-//! 3336, 348), which is eq. (51) of Healey and Kondepudy with K = (F - D) / mean (F - D): lens shading, lamp and
-//! card are in it with the response of the pixels.
+//! 3336, 348), which is eq. (51) of Healey and Kondepudy with K = (F - D) / mean (F - D): it contains lens
+//! shading, lamp and card with the response of the pixels.
 
 use super::defects::Defect;
 use super::pattern::FixedPattern;
 use ndarray::{Array2, Zip, s};
 
-/// Begin of the name of such a K in a calibration file.
+/// Prefix of the estimator's name of such a K in a calibration file.
 pub(super) const NAME: &str = "flat-field";
 
-/// Puts the light of the flats, mean images above the dark reference, into a K that is free of what is smooth of
-/// it; of a mosaic in each plane, whose mean over the sound pixels is 1. The error of a pixel keeps its share.
-/// Pixels without a response keep K = 1.
+/// Adds the light of the flats (mean images above the dark reference) to a K without smooth light; for a
+/// mosaic in each plane, whose mean over the sound pixels is 1. The relative error of a pixel is kept. Pixels
+/// without a response keep K = 1.
 pub(super) fn with_light(
     pattern: &mut FixedPattern,
     images: &[Array2<f32>],
@@ -47,9 +47,9 @@ mod tests {
     use super::*;
     use crate::calibrate::defects::{DEAD, HOT};
 
-    /// Light that falls by half over the picture and is twice as strong in one colour, with pixels of their own
-    /// response: K is their product, with a mean of 1 over the sound pixels of each colour; a dead pixel keeps
-    /// K = 1, a hot one has its response.
+    /// Light that falls over the image and is twice as strong in some colours, with individual responses of
+    /// the pixels: K is their product, with a mean of 1 over the sound pixels of each colour. A dead pixel
+    /// keeps K = 1; a hot one has its response.
     #[test]
     fn light_and_response_stand_in_k() {
         let own = |y: usize, x: usize| 1.0 + 0.01 * ((7 * y + 3 * x) % 5) as f32;

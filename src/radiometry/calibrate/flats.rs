@@ -1,4 +1,4 @@
-//! Mean images of the flats that K is estimated from (the e_i of eq. 46).
+//! Mean images of the flats for the estimate of K (the e_i of eq. 46).
 
 use super::dark::{DarkError, DarkReference};
 use super::{CalibrateError, Level, average, most_configurations};
@@ -6,36 +6,36 @@ use crate::dataset::{Dataset, Kind, Set};
 use ndarray::{Array2, Zip};
 use std::collections::BTreeMap;
 
-/// Share of the pixels at full scale from which a flat of one level has lost its pattern.
+/// Maximum share of the pixels at full scale in a flat of one level; beyond it the pattern is lost.
 const MAX_CLIPPED_SHARE: f64 = 1e-3;
-/// The same where other levels tell of the pixels that are clipped: glints on the card.
+/// Maximum share of clipped pixels if other levels cover them: glints on the card.
 const MAX_CLIPPED_SHARE_OF_MANY: f64 = 0.02;
-/// Share of the pixels up to which those that are bright in the dark are stuck ones, and say nothing of the light
-/// (a named choice, as for the look at the sets).
+/// Maximum share of pixels that are bright in the dark for these to be stuck, and to say nothing of the light
+/// (a named choice, as in the examination of the sets).
 const MAX_STUCK_SHARE: f64 = 0.05;
-/// Level below which a flat is not used beside brighter ones, over the brightest: its weight would be as small,
-/// and the error of its dark reference is not.
+/// Minimum level of a flat beside brighter ones, over the brightest: below it the weight is as small, and the
+/// error of the dark reference is not.
 const MIN_LEVEL: f64 = 0.05;
-/// Standard deviations of the noise within which full scale cuts a pixel off.
+/// Standard deviations of the noise within which full scale clips a pixel.
 const REACH: f64 = 3.0;
 
-/// Mean images with what is known of their noise.
+/// Mean images with their noise.
 #[derive(Debug, Default)]
 pub(super) struct Flats {
-    /// Dark reference taken off, DN, one for each configuration.
+    /// Images with the dark reference subtracted, DN, one per configuration.
     pub images: Vec<Array2<f32>>,
-    /// Variance of the temporal noise that is left in each, DN^2.
+    /// Variance of the temporal noise left in each, DN^2.
     pub noise_dn2: Vec<f64>,
-    /// Frames in each.
+    /// Number of frames in each.
     pub frames: Vec<u64>,
-    /// Exposures and lights that are in them.
+    /// Number of exposures and lights in them.
     pub levels: usize,
     /// Sets that are not used, with the reason.
     pub left_out: Vec<String>,
 }
 
 impl Flats {
-    /// Fewest frames of a configuration.
+    /// Smallest number of frames of a configuration.
     pub(super) fn fewest(&self) -> u64 {
         self.frames.iter().copied().min().unwrap_or(0)
     }
@@ -52,7 +52,7 @@ struct Image {
     clipped: Array2<bool>,
 }
 
-/// (A, sigma_C^2) of the campaign, where it is known.
+/// (A, sigma_C^2) of the campaign, if known.
 type Noise = Option<(f64, f64)>;
 
 fn image(
@@ -66,7 +66,7 @@ fn image(
     let mean = moments.mean_dn();
     let signal_dn = Zip::from(&mean).and(dark_dn).map_collect(|&m, &d| m as f32 - d);
     let level_dn = f64::from(signal_dn.mean().unwrap_or(0.0));
-    // Sets of one level differ in light: their scatter is an upper bound of the noise.
+    // Sets of one level may differ in light: their scatter is an upper bound of the noise.
     let scatter = moments.variance_dn2().mean().unwrap_or(f64::NAN);
     let model = noise.map_or(f64::NAN, |(a, c)| a * level_dn.max(0.0) + c);
     let var_dn2 = model.min(scatter);
@@ -79,7 +79,7 @@ fn image(
     Ok(Image { signal_dn, level_dn, frames: moments.frames(), var_dn2, clipped })
 }
 
-/// Returns the share of pixels at full scale by the light: those that are near it in the dark, DN, are stuck
+/// Returns the share of pixels that the light brings to full scale: pixels near it in the dark, DN, are stuck
 /// there.
 fn share_at_full(at_full: impl Iterator<Item = bool>, dark_dn: &Array2<f32>, full_dn: f64) -> f64 {
     let of = dark_dn.len().max(1) as f64;
@@ -89,7 +89,7 @@ fn share_at_full(at_full: impl Iterator<Item = bool>, dark_dn: &Array2<f32>, ful
     at_full.zip(dark_dn).filter(by_light).count() as f64 / of
 }
 
-/// The flats of one exposure and light in all configurations.
+/// Averages the flats of one exposure and light in all configurations.
 pub(super) fn of_level(
     dataset: &Dataset,
     configurations: &BTreeMap<u32, Vec<&Set>>,
@@ -112,9 +112,9 @@ pub(super) fn of_level(
     Ok(out)
 }
 
-/// All flats: those of one configuration have light of one shape, and are averaged over all exposures and lights,
-/// by what each tells of K: frames times signal^2 over variance. A pixel that is clipped at some levels is told
-/// by the others. Memory holds one image for each configuration.
+/// Averages all flats. Those of one configuration have light of one shape, and are averaged over all
+/// exposures and lights with their information on K as weights: frames times signal^2 over variance. A pixel
+/// that is clipped at some levels is estimated from the others. Memory holds one image per configuration.
 pub(super) fn of_all(dataset: &Dataset, dark: &DarkReference, noise: Noise) -> Result<Flats, CalibrateError> {
     let mut levels: BTreeMap<u32, BTreeMap<(u64, u64), Vec<&Set>>> = BTreeMap::new();
     for set in dataset.sets() {
@@ -131,7 +131,7 @@ pub(super) fn of_all(dataset: &Dataset, dark: &DarkReference, noise: Noise) -> R
     let mut refused: Option<CalibrateError> = None;
     for (configuration, levels) in levels {
         let mut sum = Array2::<f32>::zeros(dark.level_dn.dim());
-        // Of each pixel, over that of all levels.
+        // Sum of the weights of each pixel, over the levels at which it is not clipped.
         let mut pixel_weights = sum.clone();
         let (mut weights, mut over_level, mut frames) = (0.0, 0.0, 0);
         for ((exposure, light), sets) in levels {
@@ -175,7 +175,7 @@ pub(super) fn of_all(dataset: &Dataset, dark: &DarkReference, noise: Noise) -> R
             frames += of.frames;
             all_levels.insert((exposure, light));
         }
-        // In units of the level at which an error of the dark reference would do the same.
+        // Scales to the level at which an error of the dark reference would have the same effect.
         if weights <= 0.0 {
             continue;
         }
@@ -193,7 +193,7 @@ pub(super) fn of_all(dataset: &Dataset, dark: &DarkReference, noise: Noise) -> R
     }
 }
 
-/// Level of the brightest flats above their darks, by the first frame of each set, DN.
+/// Level of the brightest flats above their darks, from the first frame of each set, DN.
 fn brightest_dn(dataset: &Dataset, dark: &DarkReference) -> Result<f64, CalibrateError> {
     let zero = f64::from(dark.level_dn.mean().unwrap_or(0.0));
     let mut brightest = 0.0f64;
@@ -206,7 +206,7 @@ fn brightest_dn(dataset: &Dataset, dark: &DarkReference) -> Result<f64, Calibrat
     Ok(brightest)
 }
 
-/// The e_i of a pilot.
+/// Averages the e_i of a pilot.
 pub(super) fn of_pilot(dataset: &Dataset) -> Result<Flats, CalibrateError> {
     let dataset = &super::looked_at(dataset)?;
     let Some(Level { exposure_s, configurations, .. }) = most_configurations(dataset) else {

@@ -1,9 +1,11 @@
-//! K common to all configurations, the light of each a smooth surface: what the window of eq. (47) only approximates.
+//! K common to all configurations, with a smooth surface as the light of each: the window of eq. (47)
+//! approximates it.
 //!
-//! e_i(a,b) = K(a,b) L_i(a,b) (1 + card grain), with L_i a polynomial surface whose order the data choose and K without a
-//! smooth part of its own (a surface common to K and every L_i cannot be told apart by any number of configurations).
-//! Surface and K are fitted in turn, both with Tukey's biweight (Beaton and Tukey 1974), so that spots of the card do
-//! not matter. Against the window's mean, neighbours' spots and K's own mean over the window drop out of the error.
+//! e_i(a,b) = K(a,b) L_i(a,b) (1 + card grain), with L_i a polynomial surface whose order the data choose,
+//! and K without a smooth part of its own (no number of configurations separates a surface common to K and
+//! every L_i). Surface and K are fitted alternately, both with Tukey's biweight (Beaton and Tukey 1974), so
+//! that spots of the card have no influence. Compared with the window's mean, neighbours' spots and K's own
+//! mean over the window drop out of the error.
 
 use super::pattern::{FixedPattern, PatternError, check, level_of, pooled_deviation};
 use super::robust::{self, Light, Location};
@@ -12,32 +14,32 @@ use crate::statistics::median::median_of;
 use ndarray::Array2;
 use rayon::prelude::*;
 
-/// Largest order of a light surface.
+/// Maximum order of a light surface.
 const MAX_ORDER: usize = 6;
 /// Side of the blocks whose medians the surfaces are fitted to, pixels.
 const BLOCK: usize = 8;
-/// Blocks that are used at most, about.
+/// Approximate maximum number of blocks.
 const MOST_BLOCKS: f64 = 6000.0;
-/// Residual of a block beyond which it is not used, over the robust deviation of all: the rim of an image circle
-/// and spots of a block's size are no part of the surface (Tukey's biweight constant, as for the pixels).
+/// Maximum residual of a block over the robust deviation of all blocks: the rim of an image circle and spots
+/// of a block's size are no part of the surface (Tukey's biweight constant, as for the pixels).
 const MAX_BLOCK_DEVIATIONS: f64 = 4.685;
-/// Rounds of leaving such blocks out.
+/// Maximum iterations of excluding blocks.
 const BLOCK_ROUNDS: usize = 5;
 
-/// K by the joint model. `configurations` are the e_i of eq. (46), DN, each (rows, columns).
+/// Estimates K by the joint model. `configurations` are the e_i of eq. (46), DN, each (rows, columns).
 ///
-/// The standard error is the scatter over the configurations; the surfaces' own errors are smaller by the root of the
-/// pixels over the surface's terms.
+/// The standard error is the scatter over the configurations; the surfaces' own errors are smaller by the
+/// root of the number of pixels over that of the surface's terms.
 ///
 /// # Errors
 ///
-/// Where there are too few configurations, or they differ in size.
+/// If there are too few configurations, or they differ in size.
 pub fn joint(configurations: &[Array2<f32>]) -> Result<FixedPattern, PatternError> {
     check(configurations)?;
     joint_of(configurations, &Array2::from_elem(configurations[0].dim(), true))
 }
 
-/// The same of the pixels that are sound; K of the others is of no use.
+/// As `joint`, from the sound pixels only; K of the others is meaningless.
 pub(super) fn joint_of(
     configurations: &[Array2<f32>],
     sound: &Array2<bool>,
@@ -50,7 +52,8 @@ pub(super) fn joint_of(
     let n1 = configurations.len();
     let (mut pooled_sd, mut mean_before) = (0.0, 1.0);
     let mut kept = Array2::zeros(shape);
-    // The first round's K takes the grain out of the second's surfaces; a third changes nothing that matters.
+    // K of the first iteration removes the grain from the surfaces of the second; a third changes nothing
+    // that matters.
     for _ in 0..2 {
         let light = blocks.surfaces(configurations, &k, order);
         pooled_sd = pooled_deviation(sound, n1, |at, m| {
@@ -68,15 +71,14 @@ pub(super) fn joint_of(
     Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before, level_dn: level_of(configurations, sound) })
 }
 
-/// Mean over the sound pixels.
+/// Computes the mean over the sound pixels.
 pub(super) fn mean_of(k: &Array2<f32>, sound: &Array2<bool>) -> f64 {
     let used = k.iter().zip(sound).filter(|(_, sound)| **sound).map(|(k, _)| f64::from(*k));
     let (n, sum) = used.fold((0.0, 0.0), |(n, sum), k| (n + 1.0, sum + k));
     sum / f64::max(n, 1.0)
 }
 
-/// The configurations with the light's surface in the place of pixels that are not sound, so that a window's mean
-/// is that of the light.
+/// Replaces pixels that are not sound by the light's surface, so that a window's mean is that of the light.
 pub(super) fn filled(configurations: &[Array2<f32>], sound: &Array2<bool>) -> Vec<Array2<f32>> {
     let blocks = Blocks::new(sound);
     let even = Array2::<f32>::ones(sound.dim());
@@ -90,21 +92,21 @@ pub(super) fn filled(configurations: &[Array2<f32>], sound: &Array2<bool>) -> Ve
     out
 }
 
-/// K where nothing was moved: the mean image over a smooth surface. What the card and the lamp have at a finer scale than
-/// the surface is taken for the camera's: no frame can tell.
+/// Estimates K without moved configurations: the mean image over a smooth surface. Structure of the card and
+/// the lamp finer than the surface is attributed to the camera: no frame can separate them.
 ///
-/// `noise_dn2` is the variance of the temporal noise that each image still has (that of a frame over the number of frames):
-/// images are weighted by it, and the standard error holds it alone.
+/// `noise_dn2` is the variance of the temporal noise left in each image (that of a frame over the number of
+/// frames): it gives the weights of the images, and the standard error contains it alone.
 ///
 /// # Errors
 ///
-/// Where there are too few configurations, or they differ in size.
+/// If there are too few configurations, or they differ in size.
 pub fn smooth(images: &[Array2<f32>], noise_dn2: &[f64]) -> Result<FixedPattern, PatternError> {
     let Some(first) = images.first() else { return Err(PatternError::TooFew(0)) };
     smooth_of(images, noise_dn2, &Array2::from_elem(first.dim(), true))
 }
 
-/// The same of the pixels that are sound; K of the others is of no use.
+/// As `smooth`, from the sound pixels only; K of the others is meaningless.
 pub(super) fn smooth_of(
     images: &[Array2<f32>],
     noise_dn2: &[f64],
@@ -150,11 +152,11 @@ pub(super) fn smooth_of(
     })
 }
 
-/// The frame in blocks, and polynomial surfaces over it.
+/// Blocks of the frame, and polynomial surfaces over it.
 struct Blocks<'a> {
     shape: (usize, usize),
     sound: &'a Array2<bool>,
-    /// Middle of each block, -1 to 1 in x and y.
+    /// Centre of each block, -1 to 1 in x and y.
     at: Vec<(f64, f64)>,
     /// First row and column of each block.
     corners: Vec<(usize, usize)>,
@@ -171,18 +173,18 @@ fn legendre(x: f64) -> [f64; MAX_ORDER + 1] {
     p
 }
 
-/// Products of total order up to `order`.
+/// Lists the products of total order up to `order`.
 fn terms(order: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..=order).flat_map(move |i| (0..=order - i).map(move |j| (i, j)))
 }
 
 impl<'a> Blocks<'a> {
-    /// Blocks of which half is sound, or those of which anything is.
+    /// Creates the blocks that are at least half sound, or, without any, those with the largest sound share.
     fn new(sound: &'a Array2<bool>) -> Self {
         let shape = sound.dim();
         let (rows, columns) = shape;
         let (down, across) = (rows.div_ceil(BLOCK), columns.div_ceil(BLOCK));
-        // Large frames have more blocks than 28 coefficients need: every so manieth serves.
+        // Large frames have more blocks than 28 coefficients need: every `step`-th is used.
         let step = ((down * across) as f64 / MOST_BLOCKS).sqrt().ceil().max(1.0) as usize;
         let mut corners: Vec<_> = (0..down)
             .step_by(step)
@@ -199,7 +201,7 @@ impl<'a> Blocks<'a> {
         Self { shape, sound, at, corners }
     }
 
-    /// Median of e / K in every block.
+    /// Computes the median of e / K in every block.
     fn medians(&self, e: &Array2<f32>, k: &Array2<f32>) -> Vec<f64> {
         let (rows, columns) = self.shape;
         let (mut values, mut sorted) = (Vec::new(), Vec::new());
@@ -217,7 +219,8 @@ impl<'a> Blocks<'a> {
             .collect()
     }
 
-    /// Coefficients of the surface without the blocks that lie far off, and the robust deviation of all.
+    /// Fits the surface without outlying blocks; returns its coefficients, and the robust deviation of all
+    /// blocks.
     fn fit(&self, values: &[f64], order: usize) -> (Vec<f64>, f64) {
         let mut used = vec![true; values.len()];
         let mut sorted = Vec::new();
@@ -228,7 +231,7 @@ impl<'a> Blocks<'a> {
                 self.at.iter().zip(values).map(|(&at, v)| (v - value(&c, order, at)).abs()).collect();
             scale = median_of(&off, &mut sorted) / 0.6745;
             let near: Vec<bool> = off.iter().map(|o| *o <= MAX_BLOCK_DEVIATIONS * scale).collect();
-            // A surface needs blocks for its terms.
+            // A surface needs enough blocks for its terms.
             if near == used || near.iter().filter(|n| **n).count() < 2 * terms(order).count() {
                 break;
             }
@@ -238,7 +241,7 @@ impl<'a> Blocks<'a> {
         (c, scale)
     }
 
-    /// Coefficients of the least-squares surface, by Cholesky's factorisation of the normal equations.
+    /// Fits the least-squares surface, by Cholesky factorisation of the normal equations.
     fn fit_to(&self, values: &[f64], used: &[bool], order: usize) -> Vec<f64> {
         let n = terms(order).count();
         let (mut a, mut b) = (vec![0.0; n * n], vec![0.0; n]);
@@ -254,7 +257,7 @@ impl<'a> Blocks<'a> {
                 }
             }
         }
-        // More terms than a small frame has blocks: those that nothing tells stay near 0.
+        // A small frame may have fewer blocks than terms: undetermined terms stay near 0.
         (0..n).for_each(|i| a[i * n + i] += 1e-9 * a[i * n + i] + 1e-12);
         match Factor::of(&a, n) {
             Some(factor) => factor.solve(&mut b),
@@ -263,12 +266,13 @@ impl<'a> Blocks<'a> {
         b
     }
 
-    /// The order that the configurations ask for together: the smallest Bayesian information criterion (Schwarz 1978).
+    /// Selects the order common to all configurations: the smallest Bayesian information criterion (Schwarz
+    /// 1978).
     fn order(&self, configurations: &[Array2<f32>], k: &Array2<f32>) -> usize {
         let medians: Vec<Vec<f64>> = configurations.par_iter().map(|e| self.medians(e, k)).collect();
         let n = self.at.len() as f64;
         let most = (0..=MAX_ORDER).take_while(|&o| 2 * terms(o).count() <= self.at.len()).last().unwrap_or(0);
-        // Blocks that no surface follows count alike for all orders.
+        // Blocks that no surface follows have the same penalty for all orders.
         let scales: Vec<f64> = medians.iter().map(|values| self.fit(values, most).1).collect();
         let criterion = |order: usize| -> f64 {
             let parameters = terms(order).count() as f64;
@@ -284,7 +288,7 @@ impl<'a> Blocks<'a> {
         (0..=most).min_by(|&a, &b| criterion(a).total_cmp(&criterion(b))).unwrap_or(0)
     }
 
-    /// The surfaces of all configurations through the medians of e / K.
+    /// Fits the surfaces of all configurations to the medians of e / K.
     fn surfaces(&self, configurations: &[Array2<f32>], k: &Array2<f32>, order: usize) -> Surfaces {
         let coefficients =
             configurations.par_iter().map(|e| self.fit(&self.medians(e, k), order).0).collect();
@@ -305,7 +309,7 @@ impl<'a> Blocks<'a> {
     }
 }
 
-/// The light of every configuration as polynomials.
+/// Light of every configuration as polynomials.
 struct Surfaces {
     coefficients: Vec<Vec<f64>>,
     order: usize,
@@ -315,7 +319,7 @@ struct Surfaces {
 }
 
 impl Surfaces {
-    /// Of each row a polynomial in x is left: its coefficients.
+    /// Returns the coefficients of the polynomial in x that is left at row `y`.
     fn along(&self, i: usize, y: usize) -> [f64; MAX_ORDER + 1] {
         let mut of_x = [0.0; MAX_ORDER + 1];
         terms(self.order).zip(&self.coefficients[i]).for_each(|((a, b), c)| of_x[a] += c * self.of_y[b][y]);
@@ -345,7 +349,7 @@ impl Light for Surfaces {
     }
 }
 
-/// A surface at one place.
+/// Evaluates a surface at one place.
 fn value(c: &[f64], order: usize, (x, y): (f64, f64)) -> f64 {
     let (px, py) = (legendre(x), legendre(y));
     terms(order).zip(c).map(|((i, j), c)| c * px[i] * py[j]).sum()
@@ -358,8 +362,8 @@ mod tests {
     use crate::calibrate::pattern::{Options, paper};
     use ndarray::Zip;
 
-    /// 2 % spots, grain and a 10 % gradient: the residual deviation is at most 1.1 times the limit (grain over the root of
-    /// n1), the stated errors are true within 5 %, edges included, and the windows do worse.
+    /// 2 % spots, grain and a 10 % gradient: the residual deviation is at most 1.1 times the limit (grain
+    /// over the root of n1), the stated errors hold within 5 %, edges included, and the windows do worse.
     #[test]
     fn k_is_found_to_the_limit_of_the_card() {
         let n1 = 20;
@@ -385,7 +389,7 @@ mod tests {
         assert!(rms(&windows.k, &|_, _| true) > 1.2 * rms(&found.k, &|_, _| true));
     }
 
-    /// One configuration: lamp and slope are taken off, the card's grain stays in K.
+    /// One configuration: lamp and slope are removed, the card's grain stays in K.
     #[test]
     fn one_configuration_keeps_the_card() {
         let (images, truth) = bench(1, 0.0, 0.10, (128, 144));

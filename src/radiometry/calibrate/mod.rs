@@ -1,4 +1,4 @@
-//! Section V: what a camera adds to an even light, and how to take it off again.
+//! Section V: nonuniformity that a camera adds to even light, and its correction.
 
 mod colour;
 pub mod dark;
@@ -29,45 +29,45 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// How K is estimated from a dataset.
+/// Estimator of K from a dataset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Estimator {
     /// Light as a smooth surface ([`joint::joint`]).
     Joint,
     /// Light as the mean over a window ([`pattern::paper`]).
     Paper(Options),
-    /// One configuration is enough: its light as a smooth surface. K then contains the card and all of the lamp
-    /// that the surface does not follow ([`joint::smooth`]).
+    /// Light of a single configuration as a smooth surface. K then contains the card, and the parts of the
+    /// lamp that the surface does not follow ([`joint::smooth`]).
     Smooth,
-    /// The light of the flats stays in K, so that corrected flats are even: lens shading, lamp and card are taken
-    /// off with the fixed pattern. One configuration is enough.
+    /// Light of the flats left in K, so that corrected flats are even: lens shading, lamp and card are
+    /// removed with the fixed pattern. One configuration is enough.
     FlatField,
 }
 
 impl Estimator {
-    /// True where flats of one configuration are enough, all of which are used.
+    /// Returns true if flats of one configuration are enough; all flats are used then.
     fn takes_all(self) -> bool {
         matches!(self, Self::Smooth | Self::FlatField)
     }
 }
 
-/// Why a dataset gives no calibration.
+/// Error: a dataset gives no calibration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CalibrateError {
-    /// The dataset.
+    /// Error of the dataset.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// The darks.
+    /// Error of the darks.
     #[error(transparent)]
     Dark(#[from] DarkError),
-    /// The flats.
+    /// Error of the flats.
     #[error(transparent)]
     Pattern(#[from] PatternError),
     /// No flats.
     #[error("the dataset has no flats")]
     NoFlats,
-    /// Flats of single frames without a known gain: the noise, and so the error of K, is not known.
+    /// Flats of single frames without a known gain: the noise, and so the error of K, is unknown.
     #[error(
         "set {set} has one frame, and the gain that would tell its noise is not known, so that the error of K is not known; take two frames or \
          more of each level"
@@ -76,7 +76,7 @@ pub enum CalibrateError {
         /// Number of the first such set.
         set: u32,
     },
-    /// Clipped flats have lost their pattern.
+    /// Clipped flats, which have lost their pattern.
     #[error(
         "configuration {configuration}: {percent:.2} % of the samples are at full scale; shorten the exposure"
     )]
@@ -96,7 +96,7 @@ pub enum CalibrateError {
         /// Constant noise, DN^2.
         dn2: f64,
     },
-    /// K would add more than it takes off.
+    /// K would add more noise than it removes.
     #[error(
         "K would make frames noisier: its error is {:.3} % a pixel, and the pixels differ by {}{:.3} % (PRNU); {needed} bring it to half of \
          that",
@@ -107,9 +107,9 @@ pub enum CalibrateError {
         error: f64,
         /// Spread of the pixels' response, relative.
         prnu: f64,
-        /// The spread is below that error, and this is its upper limit.
+        /// True if the spread is below that error; it is an upper limit then.
         at_most: bool,
-        /// Frames that suffice, in words.
+        /// Frames that suffice, as text.
         needed: String,
     },
 }
@@ -123,7 +123,7 @@ fn average(dataset: &Dataset, sets: &[&Set]) -> Result<Moments, DatasetError> {
         let frames = rows.iter().map(read).collect::<Result<Vec<_>, _>>()?;
         // A cosmic ray in a dark is no dark current of its pixel.
         let (frames, _) = dataset.without_struck(frames);
-        // Their size was checked by the manifest.
+        // Sizes were checked against the manifest.
         let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
         let _ = moments.add(&slices);
     }
@@ -137,7 +137,7 @@ struct Level<'a> {
     configurations: BTreeMap<u32, Vec<&'a Set>>,
 }
 
-/// The exposure and light with the most configurations; of equal ones the longest.
+/// Returns the exposure and light with the most configurations; among equals the longest exposure.
 fn most_configurations(dataset: &Dataset) -> Option<Level<'_>> {
     // Exposures and light levels as bits: equal settings are equal to the last digit.
     let mut flats: BTreeMap<(u64, u64), BTreeMap<u32, Vec<&Set>>> = BTreeMap::new();
@@ -156,12 +156,12 @@ fn most_configurations(dataset: &Dataset) -> Option<Level<'_>> {
     })
 }
 
-/// Exposure, s, and light of the flats with the most configurations.
+/// Returns exposure, s, and light of the flats with the most configurations.
 fn best_level(dataset: &Dataset) -> Option<(f64, f64)> {
     most_configurations(dataset).map(|l| (l.exposure_s, l.illumination))
 }
 
-/// The means of the darks, one for each exposure.
+/// Averages the darks, one mean for each exposure.
 pub(crate) fn dark_means(dataset: &Dataset) -> Result<Vec<DarkMean>, DatasetError> {
     let mut darks: BTreeMap<u64, Vec<&Set>> = BTreeMap::new();
     for set in dataset.sets() {
@@ -178,7 +178,7 @@ pub(crate) fn dark_means(dataset: &Dataset) -> Result<Vec<DarkMean>, DatasetErro
     darks.into_iter().map(mean).collect()
 }
 
-/// Sensor temperature of the campaign, degrees Celsius: that of the manifest, or the mean of the darks.
+/// Sensor temperature of the campaign, degrees Celsius: from the manifest, or the mean of the darks.
 fn temperature_c(dataset: &Dataset) -> Option<f64> {
     let darks = dataset.rows().iter().filter(|r| r.kind == Kind::Dark).filter_map(|r| r.temperature_c);
     let (sum, count) = darks.fold((0.0, 0.0), |(sum, count), t| (sum + t, count + 1.0));
@@ -186,7 +186,7 @@ fn temperature_c(dataset: &Dataset) -> Option<f64> {
     dataset.manifest().camera.temperature_c.or(mean)
 }
 
-/// The dataset without what is wrong with it.
+/// Examines the dataset and excludes its faulty data.
 fn looked_at(dataset: &Dataset) -> Result<Dataset, DatasetError> {
     let fault = |message: String| DatasetError::Manifest { path: dataset.root().into(), message };
     let whole = examined(dataset, &AtomicBool::new(false)).map_err(|e| match e {
@@ -199,35 +199,35 @@ fn looked_at(dataset: &Dataset) -> Result<Dataset, DatasetError> {
     Ok(whole)
 }
 
-/// A calibration, and the pixels that it flags.
+/// Calibration, with its flagged pixels.
 #[derive(Debug, Clone)]
 pub struct Calibrated {
-    /// What goes into the file.
+    /// Contents of the file.
     pub calibration: Calibration,
-    /// Every defect with its reason.
+    /// All defects with their reasons.
     pub defects: Vec<Defect>,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
-    /// Exposures and lights of the flats that K is of.
+    /// Number of exposures and lights of the flats used for K.
     pub levels: usize,
-    /// Flats that are no part of K, with the reason.
+    /// Flats that are not used for K, with the reason.
     pub left_out: Vec<String>,
-    /// True if K may contain the card: nothing was moved between the configurations, or nothing shows that it
-    /// was.
+    /// True if K may contain the card: nothing was moved between the configurations, or no movement is
+    /// detectable.
     pub has_card: bool,
 }
 
-/// Dark reference and K from a dataset: darks at any exposures, and flats of three configurations or more at one
-/// exposure and light (one is enough for [`Estimator::Smooth`] and [`Estimator::FlatField`]). Frames are read
-/// one at a time: memory holds one mean image for each configuration, however many frames went into it.
+/// Computes dark reference and K from a dataset: darks at any exposures, and flats of three configurations or
+/// more at one exposure and light (one is enough for [`Estimator::Smooth`] and [`Estimator::FlatField`]).
+/// Frames are read one at a time: memory holds one mean image per configuration, for any number of frames.
 ///
-/// Of flats with several exposures the one with the most configurations is taken, of equal ones the longest;
-/// [`Estimator::Smooth`] and [`Estimator::FlatField`] take all flats. Pixels that are dead or get no light are
-/// flagged and have K = 1; a K whose error exceeds what it corrects is refused.
+/// Among flats of several exposures the one with the most configurations is used, among equals the longest;
+/// [`Estimator::Smooth`] and [`Estimator::FlatField`] use all flats. Dead and unlit pixels are flagged and
+/// have K = 1. A K whose error exceeds what it corrects is refused.
 ///
 /// # Errors
 ///
-/// What the dataset lacks for a calibration, or which frame cannot be read.
+/// If the dataset lacks data for a calibration, or a frame cannot be read; both are named.
 pub fn of_dataset(
     dataset: &Dataset,
     estimator: Estimator,
@@ -238,7 +238,7 @@ pub fn of_dataset(
     let Some(Level { exposure_s, configurations, .. }) = most_configurations(dataset) else {
         return Err(CalibrateError::NoFlats);
     };
-    // Before anything is read.
+    // Checked before anything is read.
     if configurations.len() < 3 && !estimator.takes_all() {
         return Err(PatternError::TooFew(configurations.len()).into());
     }
@@ -258,7 +258,8 @@ pub fn of_dataset(
     };
     let mosaic = dataset.manifest().camera.is_mosaic();
     let (mut pattern, light) = if mosaic {
-        // A colour's light is smooth; that of a mosaic is not, and the filters' transmissions are no part of K.
+        // The light of one colour is smooth; that of a mosaic is not, and the filters' transmissions are no
+        // part of K.
         let planes = colour::planes(&flats.images);
         let of = |images: &Vec<Array2<f32>>| estimate(estimator, images, &flats.noise_dn2);
         let found = planes.iter().map(of).collect::<Result<Vec<_>, _>>()?;
@@ -274,7 +275,7 @@ pub fn of_dataset(
     // The noise of the planes of a mosaic is not that of all pixels.
     let has_card =
         estimator.takes_all() || (!mosaic && worth::differ_by_noise_alone(&pattern, &flats.noise_dn2));
-    // A flat-field correction takes off the shading as well: that is worth some noise.
+    // A flat-field correction removes the shading as well, which is worth some noise.
     if estimator == Estimator::FlatField {
         flat_field::with_light(&mut pattern, &flats.images, &defects, mosaic);
     }
@@ -307,16 +308,15 @@ pub fn of_dataset(
     })
 }
 
-/// Rounds in which pixels that the surfaces show to be dead are taken out of them.
+/// Maximum iterations of excluding pixels that the surfaces show to be dead.
 const ROUNDS: usize = 3;
-/// Standard errors below 0 from which on the constant noise is no chance (a named choice).
+/// Minimum standard errors below 0 at which a negative constant noise is significant (a named choice).
 const MIN_SIGMAS_BELOW_0: f64 = 3.0;
 
-/// Least share of the pixels with light that is left without the rim of the image circle.
+/// Minimum share of the lit pixels that must be left without the rim of the image circle.
 const MIN_SHARE_WITHOUT_RIM: f64 = 0.7;
 
-/// K of one colour, and the pixels that get light. The pixels that are dead, or get no light, tell nothing of the
-/// light.
+/// Estimates K of one colour, and its lit pixels. Dead and unlit pixels are excluded from the light.
 fn estimate(
     estimator: Estimator,
     images: &[Array2<f32>],
@@ -337,7 +337,7 @@ fn estimate(
     let mut pattern = once(&sound)?;
     for _ in 0..ROUNDS {
         about_its_median(&mut pattern, &light.lit);
-        // A rim that is most of the picture is the lens' shading.
+        // A rim that covers most of the image is lens shading.
         let grown = light.clone().with_rim(&pattern.k);
         if grown.lit_pixels() as f64 >= MIN_SHARE_WITHOUT_RIM * of_light {
             light = grown;
@@ -357,9 +357,9 @@ fn estimate(
     Ok((pattern, light))
 }
 
-/// Brings K to a median of 1 over the pixels with light. Where a surface cannot follow a lens that falls off
-/// steeply, K of a few pixels is thousands: a mean over all of them would make every other pixel dead. The error
-/// is relative to the light and stays.
+/// Scales K to a median of 1 over the lit pixels. If a surface cannot follow a steep falloff of the lens, K
+/// of a few pixels is in the thousands: a mean over all of them would make every other pixel dead. The error
+/// is relative to the light and is kept.
 fn about_its_median(pattern: &mut FixedPattern, lit: &Array2<bool>) {
     let of_light = pattern.k.iter().zip(lit).filter(|(k, lit)| **lit && k.is_finite());
     let usual = crate::statistics::median::median(of_light.map(|(k, _)| f64::from(*k)));
@@ -383,15 +383,15 @@ fn name_of(estimator: Estimator, mosaic: bool) -> String {
     name + if mosaic { "; each plane of the colour mosaic by itself" } else { "" }
 }
 
-/// Map of the flags of defects.
+/// Creates the map of the defect flags.
 fn flags_of(defects: &[Defect], shape: (usize, usize)) -> Array2<u8> {
     let mut flags = Array2::zeros(shape);
     defects.iter().for_each(|d| flags[(d.y, d.x)] = d.flags);
     flags
 }
 
-/// K = 1 for pixels whose response is not known, and a mean of 1 over those without a defect; of a mosaic in each
-/// plane.
+/// Sets K = 1 for pixels of unknown response, and scales K to a mean of 1 over those without a defect; for a
+/// mosaic in each plane.
 fn without_defects(pattern: &mut FixedPattern, defects: &[Defect], mosaic: bool) {
     let flags = flags_of(defects, pattern.k.dim());
     let errors = pattern.std_err.iter().zip(&flags).filter(|(_, f)| **f == 0).map(|(e, _)| f64::from(*e));

@@ -1,8 +1,8 @@
 //! Fixed-pattern nonuniformity K (Section V.B, eq. 44 to 50) from flats of several configurations.
 //!
-//! The paper's procedure, made robust. Its initial slope is the mean over the configurations, which two spots of the card
-//! at one site can pull so far that every good point is thrown out; here the median starts ([`Start::Median`]), and the
-//! mean stays as an option ([`Start::Mean`]).
+//! The paper's procedure, made robust. Its initial slope is the mean over the configurations, which two spots
+//! of the card at one site can shift so far that every good point is rejected. Here the search starts at the
+//! median ([`Start::Median`]); the mean remains an option ([`Start::Mean`]).
 
 use super::joint::mean_of;
 pub use super::robust::Start;
@@ -11,14 +11,14 @@ use super::window;
 use crate::statistics::median::median_of;
 use ndarray::{Array2, Zip};
 
-/// How K is estimated.
+/// Options of the estimate of K.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
     /// Side m of the window, pixels.
     pub window: usize,
-    /// Points within p pooled deviations of the start are kept (eq. 49).
+    /// Maximum distance p of the points kept from the start, in pooled deviations (eq. 49).
     pub p: f64,
-    /// Where the search starts.
+    /// Start of the search.
     pub start: Start,
 }
 
@@ -34,14 +34,14 @@ impl Default for Options {
 pub struct FixedPattern {
     /// K(a,b), (rows, columns), mean 1.
     pub k: Array2<f32>,
-    /// Standard error of K at each pixel, from the scatter over the configurations. What all of them share, the error of the dark
-    /// reference, is not in it: [`super::file::Calibration::new`] adds it.
+    /// Standard error of K at each pixel, from the scatter over the configurations. The error of the dark
+    /// reference, which they share, is added by [`super::file::Calibration::new`].
     pub std_err: Array2<f32>,
-    /// n1', the configurations kept at each pixel.
+    /// Number n1' of the configurations kept at each pixel.
     pub kept: Array2<u16>,
     /// Pooled deviation s of the slopes over the configurations.
     pub pooled_sd: f64,
-    /// Mean of K as it came out, before it was brought to 1.
+    /// Mean of K before it was scaled to 1.
     pub mean_before: f64,
     /// Mean of the configurations above the dark reference, DN.
     pub level_dn: f64,
@@ -52,7 +52,7 @@ pub(super) fn level_of(configurations: &[Array2<f32>], sound: &Array2<bool>) -> 
     configurations.iter().map(|e| mean_of(e, sound)).sum::<f64>() / configurations.len() as f64
 }
 
-/// Why there is no K.
+/// Error: no K.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PatternError {
@@ -65,14 +65,14 @@ pub enum PatternError {
     /// Images of different sizes.
     #[error("configuration {index} is {found:?} px (rows, columns), the first {expected:?}")]
     Size {
-        /// Place of the configuration.
+        /// Place of the configuration in the list.
         index: usize,
-        /// Its size.
+        /// Size of the configuration.
         found: (usize, usize),
         /// Size of the first.
         expected: (usize, usize),
     },
-    /// Nothing sound is left.
+    /// No sound pixel is left.
     #[error("no pixel gets light in all flats: nothing to calibrate")]
     NoPixels,
     /// No light.
@@ -80,7 +80,7 @@ pub enum PatternError {
     Dark(usize),
 }
 
-/// Refuses what no estimator of K can use.
+/// Refuses input that no estimator of K can use.
 pub(super) fn check(configurations: &[Array2<f32>]) -> Result<(), PatternError> {
     if configurations.len() < 3 {
         return Err(PatternError::TooFew(configurations.len()));
@@ -103,21 +103,21 @@ pub(super) fn check_images(configurations: &[Array2<f32>]) -> Result<(), Pattern
     Ok(())
 }
 
-/// K by eq. (47) to (50). `configurations` are the e_i of eq. (46): averages of n2 frames, dark reference taken off, DN,
-/// each (rows, columns).
+/// Estimates K by eq. (47) to (50). `configurations` are the e_i of eq. (46): averages of n2 frames, dark
+/// reference subtracted, DN, each (rows, columns).
 ///
-/// The standard error holds the scatter over the configurations and sigma_K / m, the error that K's own mean over the
-/// window leaves and that no averaging removes.
+/// The standard error contains the scatter over the configurations and sigma_K / m, the error from K's own
+/// mean over the window, which no averaging removes.
 ///
 /// # Errors
 ///
-/// Where there are too few configurations, or they differ in size.
+/// If there are too few configurations, or they differ in size.
 pub fn paper(configurations: &[Array2<f32>], options: Options) -> Result<FixedPattern, PatternError> {
     check(configurations)?;
     paper_of(configurations, options, &Array2::from_elem(configurations[0].dim(), true))
 }
 
-/// The same of the pixels that are sound, the others filled in; K of those is of no use.
+/// As `paper`, from the sound pixels only, with the others filled in; K of the others is meaningless.
 pub(super) fn paper_of(
     configurations: &[Array2<f32>],
     options: Options,
@@ -142,7 +142,8 @@ pub(super) fn paper_of(
     let mean = mean_of(&k, sound);
     k.mapv_inplace(|k| (f64::from(k) / mean) as f32);
     let spread = mean_of(&k.mapv(|k| (k - 1.0).powi(2)), sound);
-    // Variance of the procedure itself for normal slopes, in units of s^2, and the points it keeps of n1.
+    // Variance of the procedure itself for normal slopes, in units of s^2, and the number of points it keeps
+    // of n1.
     let (variance, usual) = robust::efficiency(n1, location(1.0));
     let scatter = pooled_sd * pooled_sd * variance;
     let sigma_k2 = (spread - scatter).max(0.0);
@@ -155,7 +156,7 @@ pub(super) fn paper_of(
     Ok(FixedPattern { k, std_err, kept, pooled_sd, mean_before: mean, level_dn })
 }
 
-/// The light as the means over windows.
+/// Light as the means over windows.
 struct Windows<'a> {
     images: &'a [Array2<f32>],
     side: usize,
@@ -172,9 +173,9 @@ impl Light for Windows<'_> {
     }
 }
 
-/// Deviation of the slopes over the configurations, pooled over some ten thousand sites. Spots do not enter: the paper
-/// averages sample deviations, here only points within four deviations of their site's median count, about their own
-/// mean. The search starts at the median absolute deviation.
+/// Estimates the deviation of the slopes over the configurations, pooled over about ten thousand sites. Spots
+/// are excluded: the paper averages sample deviations, here only points within four deviations of their
+/// site's median count, about their own mean. The search starts at the median absolute deviation.
 pub(super) fn pooled_deviation(
     sound: &Array2<bool>,
     n1: usize,
@@ -222,7 +223,7 @@ pub(super) mod tests {
         PixelRng::new(3, stream, frame, pixel as u32, 0).normal()
     }
 
-    /// A card of grain and spots under a lamp whose slope turns; the true K is returned beside it.
+    /// Simulates a card of grain and spots under a lamp whose slope turns; returns the true K as well.
     pub fn bench(
         n1: u64,
         spots: f64,
@@ -247,7 +248,7 @@ pub(super) mod tests {
         (images, truth)
     }
 
-    /// Mean square of (K - truth) / stated error over pixels, K's common factor left free.
+    /// Computes the mean square of (K - truth) / stated error over pixels.
     pub fn chi2(found: &FixedPattern, truth: &Array2<f64>) -> f64 {
         let z2 = Zip::from(&found.k)
             .and(&found.std_err)
@@ -269,7 +270,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Two spots at one site pull its mean so far that every good point is lost; the median keeps them.
+    /// Two spots at one site shift its mean so far that every good point is lost; the median keeps them.
     #[test]
     fn the_median_survives_two_spots_at_one_site() {
         let (mut images, truth) = bench(12, 0.0, 0.0, (40, 40));
@@ -286,8 +287,9 @@ pub(super) mod tests {
         assert_eq!(kept, 0);
     }
 
-    /// The paper: "the estimate of K is not sensitive to the choice of p". Between p of 1.2 and 2.5 it moves by less than
-    /// its standard error at p = 1.5, and none is biased: the slope of K on the true K is 1 to within 5 of its errors.
+    /// The paper: "the estimate of K is not sensitive to the choice of p". Between p of 1.2 and 2.5 K moves
+    /// by less than its standard error at p = 1.5, and none is biased: the slope of K on the true K is 1 to
+    /// within 5 of its errors.
     #[test]
     fn k_does_not_depend_on_p() {
         let (images, truth) = bench(20, 0.02, 0.02, (80, 80));
@@ -305,7 +307,7 @@ pub(super) mod tests {
                 xx += (t - 1.0).powi(2);
             });
             let slope_error = error / xx.sqrt();
-            // The window takes 1/81 of K's own variation away.
+            // The window removes 1/81 of K's own variation.
             assert!((xy / xx - (1.0 - 1.0 / 81.0)).abs() < 5.0 * slope_error, "p = {p}: slope {}", xy / xx);
         }
     }

@@ -1,4 +1,5 @@
-//! How much to capture for a calibration: n1 configurations, n2 frames, s darks, from a short pilot (Sections V.A and V.B).
+//! Capture plan of a calibration: n1 configurations, n2 frames, s darks, from a short pilot (Sections V.A and
+//! V.B).
 
 use super::CalibrateError;
 use super::dark::frames_needed;
@@ -9,21 +10,21 @@ use crate::plan::{CameraPlan, Plan, SetPlan};
 
 use serde::{Deserialize, Serialize};
 
-/// Configurations that a pilot needs to measure the scatter of the card.
+/// Number of configurations of a pilot, for measuring the scatter of the card.
 pub const PILOT_CONFIGURATIONS: u32 = 6;
-/// Frames of each set of a pilot.
+/// Number of frames of each set of a pilot.
 pub const PILOT_FRAMES: u32 = 8;
 
-/// What is needed, and what was measured to find it.
+/// Needs of a calibration, and the measurements behind them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Needs {
-    /// Configurations n1.
+    /// Number n1 of configurations.
     pub n1: u64,
-    /// Frames n2 in each.
+    /// Number n2 of frames in each.
     pub n2: u64,
-    /// Dark frames s at each exposure.
+    /// Number s of dark frames at each exposure.
     pub s: u64,
-    /// Deviation of the slopes over the configurations (eq. 49) once the frames' own noise is averaged as n2 does.
+    /// Deviation of the slopes over the configurations (eq. 49), with the frames' own noise averaged over n2.
     pub slope_sd: f64,
     /// Smallest share of configurations kept at a pixel.
     pub worst_kept: f64,
@@ -33,17 +34,17 @@ pub struct Needs {
     pub full_scale_var_dn2: f64,
     /// Temporal variance in the dark, DN^2.
     pub dark_var_dn2: f64,
-    /// The standard error of K that was asked for; without one K keeps as many bits as the converter has (Section V.B).
+    /// Requested standard error of K; without one K keeps as many bits as the converter has (Section V.B).
     pub k_std_err: Option<f64>,
-    /// One configuration, for a K that contains the card and the lamp's fine structure.
+    /// True for a single configuration: K contains the card and the lamp's fine structure.
     #[serde(default)]
     pub smooth: bool,
 }
 
-/// Frames of each of the levels that tell A where one configuration has all frames that K needs.
+/// Maximum number of frames of each level for A, if one configuration has all frames that K needs.
 const FRAMES_OF_A_LEVEL: u64 = 16;
 
-/// Frames n2 so that sigma_N^2 / n2 is at most q^2 / 9 at full scale, q = 1 DN.
+/// Computes the number n2 of frames for sigma_N^2 / n2 of at most q^2 / 9 at full scale, q = 1 DN.
 ///
 /// ```
 /// // The paper's camera: (0.003384 * 255 + 1.1196) * 9 = 17.8.
@@ -53,16 +54,17 @@ pub fn frames(full_scale_var_dn2: f64) -> u64 {
     (9.0 * full_scale_var_dn2).ceil().max(1.0) as u64
 }
 
-/// Configurations n1 so that var K < 1 / (10 * 2^(2b)) with `p` deviations `slope_sd` of the slopes, where at worst a share
-/// `worst_kept` of them is kept: n1'_min >= 10 * 2^(2b) (p s)^2. At least three.
+/// Computes the number n1 of configurations for var K < 1 / (10 * 2^(2b)), with `p` deviations `slope_sd` of
+/// the slopes and at worst a share `worst_kept` of them kept: n1'_min >= 10 * 2^(2b) (p s)^2. At least three.
 pub fn configurations(bit_depth: u8, p: f64, slope_sd: f64, worst_kept: f64) -> u64 {
     let kept = 10.0 * 2f64.powi(2 * i32::from(bit_depth)) * (p * slope_sd).powi(2);
     (kept / worst_kept.clamp(0.05, 1.0)).ceil().clamp(3.0, 1e9) as u64
 }
 
-/// Configurations n1 and frames n2 in each for a standard error of K: the card, whose slopes scatter by `card_sd`, and the frames' own noise,
-/// of relative variance `noise_var` in each, take half of its square: var K = (card_sd^2 + noise_var / n2) / n1. At least three configurations
-/// and two frames.
+/// Computes the configurations n1, and the frames n2 in each, for a standard error of K. The card, whose
+/// slopes scatter by `card_sd`, and the frames' own noise, of relative variance `noise_var` in each, take
+/// half of its square each: var K = (card_sd^2 + noise_var / n2) / n1. At least three configurations and two
+/// frames.
 ///
 /// ```
 /// // Noise of 1 % in a frame and a card of 0.2 %, for K to 0.1 %: 8 configurations, and 200 / 8 frames in each.
@@ -70,14 +72,14 @@ pub fn configurations(bit_depth: u8, p: f64, slope_sd: f64, worst_kept: f64) -> 
 /// ```
 pub fn for_error(k_std_err: f64, card_sd: f64, noise_var: f64) -> (u64, u64) {
     let half = 0.5 * k_std_err * k_std_err;
-    // Rounding of the quotients must not ask for one more.
+    // Rounding of the quotients must not add one more.
     let up = |x: f64| (x * (1.0 - 1e-9)).ceil().clamp(0.0, 1e9) as u64;
     let n1 = up(card_sd * card_sd / half).max(3);
     (n1, up(noise_var / half / n1 as f64).max(2))
 }
 
-/// Frames of one configuration for a standard error of K, or for K to keep `bit_depth` bits, where the relative
-/// variance of a frame's noise is `noise_var`: var K = noise_var / n2.
+/// Computes the frames of one configuration for a standard error of K, or for K to keep `bit_depth` bits,
+/// where the relative variance of a frame's noise is `noise_var`: var K = noise_var / n2.
 ///
 /// ```
 /// // Noise of 1 % in a frame, for K to 0.1 %: 100 frames.
@@ -88,12 +90,12 @@ pub fn frames_of_one(k_std_err: Option<f64>, bit_depth: u8, noise_var: f64) -> u
     (noise_var / most * (1.0 - 1e-9)).ceil().clamp(2.0, 1e9) as u64
 }
 
-/// Needs of [`Estimator::Smooth`](super::Estimator::Smooth) from a pilot: darks and flats of one configuration or
-/// more.
+/// Computes the needs of [`Estimator::Smooth`](super::Estimator::Smooth) from a pilot: darks and flats of one
+/// configuration or more.
 ///
 /// # Errors
 ///
-/// A pilot that lacks a level or darks, and a frame that cannot be read.
+/// If the pilot lacks a level or darks, or a frame cannot be read.
 pub fn needs_smooth(
     pilot: &Dataset,
     noise: &NoiseReport,
@@ -124,11 +126,11 @@ pub fn needs_smooth(
     })
 }
 
-/// Temporal variances that a pilot tells.
+/// Temporal variances estimated from a pilot.
 struct Variances {
     full_scale_var_dn2: f64,
     dark_var_dn2: f64,
-    /// Noise of a frame at the level of the flats, relative.
+    /// Relative variance of a frame's noise at the level of the flats.
     at_level: f64,
 }
 
@@ -143,19 +145,20 @@ fn variances(pilot: &Dataset, noise: &NoiseReport, level: f64) -> Variances {
     }
 }
 
-/// Darks for a reference as good as the averaged flats: q / 3, or a third of the error wanted at the level of the
-/// flats.
+/// Computes the darks for a reference as good as the averaged flats: an error of q / 3, or a third of the
+/// requested error at the level of the flats.
 fn darks_needed(dark_var_dn2: f64, k_std_err: Option<f64>, level: f64) -> u64 {
     let std_err_dn = k_std_err.map_or(1.0 / 3.0, |e| (e * level / 3.0).min(1.0));
     frames_needed(dark_var_dn2, std_err_dn).max(4)
 }
 
-/// Needs from a pilot: darks and flats of at least three configurations. `k_std_err`: the standard error of K wanted, relative; `None`: so small
-/// that K keeps as many bits as the converter has, as in the paper.
+/// Computes the needs from a pilot: darks and flats of at least three configurations. `k_std_err`: requested
+/// standard error of K, relative; `None`: small enough for K to keep as many bits as the converter has, as in
+/// the paper.
 ///
 /// # Errors
 ///
-/// A pilot that lacks a level or darks, and a frame that cannot be read.
+/// If the pilot lacks a level or darks, or a frame cannot be read.
 pub fn needs(pilot: &Dataset, noise: &NoiseReport, k_std_err: Option<f64>) -> Result<Needs, CalibrateError> {
     let options = Options::default();
     let camera = &pilot.manifest().camera;
@@ -166,13 +169,13 @@ pub fn needs(pilot: &Dataset, noise: &NoiseReport, k_std_err: Option<f64>) -> Re
     }
     let found = paper(images, options)?;
     let level = found.level_dn;
-    // The frames' own noise is in the pilot's scatter as averaged there; in the campaign it is averaged over n2.
+    // The pilot's scatter contains the frames' own noise as averaged there; the campaign averages it over n2.
     let Variances { full_scale_var_dn2, dark_var_dn2, at_level: noise_var } = variances(pilot, noise, level);
     let card = (found.pooled_sd.powi(2) - noise_var / frames_each as f64).max(0.0);
     let wanted = k_std_err.map(|e| for_error(e, card.sqrt(), noise_var));
     let n2 = wanted.map_or_else(|| frames(full_scale_var_dn2), |(_, n2)| n2);
     let slope_sd = (card + noise_var / n2 as f64).sqrt();
-    // The pilot has few configurations, so that its worst share is a poor guess: at worst half the median share.
+    // The worst share of a pilot of few configurations is a poor estimate: half the median share at worst.
     let share = |kept: u16| f64::from(kept) / images.len() as f64;
     let mut kept: Vec<f64> = found.kept.iter().map(|&k| share(k)).collect();
     kept.sort_by(f64::total_cmp);
@@ -206,7 +209,7 @@ fn set(kind: Kind, frames: u64, exposure_s: f64, illumination: f64, configuratio
     }
 }
 
-/// The pilot: darks at two exposures, flats at four, and [`PILOT_CONFIGURATIONS`] of the card.
+/// Returns the pilot: darks at two exposures, flats at four, and [`PILOT_CONFIGURATIONS`] of the card.
 pub fn pilot() -> Plan {
     let mut plan = Plan::quick();
     plan.about = "A pilot for a calibration".into();
@@ -224,7 +227,7 @@ pub fn pilot() -> Plan {
     plan
 }
 
-/// The plan of the calibration campaign, at the exposure of the pilot's configurations.
+/// Returns the plan of the calibration campaign, at the exposure of the pilot's configurations.
 pub fn campaign(pilot: &Dataset, needs: &Needs) -> Plan {
     let flat = super::best_level(pilot);
     let (exposure_s, light) = flat.map_or((0.01, 1.0), |(e, l)| (e, l));
@@ -234,7 +237,7 @@ pub fn campaign(pilot: &Dataset, needs: &Needs) -> Plan {
     if longest > exposure_s {
         sets.push(set(Kind::Dark, needs.s, longest, 0.0, 0));
     }
-    // A few levels of light, so that the same campaign tells A and the constant noise.
+    // A few levels of light, so that the same campaign gives A and the constant noise.
     for part in [0.1, 0.3, 0.6] {
         let most = if needs.smooth { FRAMES_OF_A_LEVEL } else { u64::MAX };
         sets.push(set(Kind::Flat, needs.n2.clamp(4, most), exposure_s * part, light, 0));

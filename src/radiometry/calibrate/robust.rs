@@ -1,14 +1,14 @@
 //! Robust location of a few values at every pixel, many pixels at a time.
 //!
-//! The values of 16 neighbouring pixels lie side by side, so that comparing and adding are vector operations; medians come
-//! from a sorting network (Batcher's odd-even merge, Knuth, "The Art of Computer Programming", vol. 3, algorithm 5.2.2M),
-//! which takes the same steps for every pixel.
+//! The values of 16 neighbouring pixels lie side by side, so that comparisons and sums are vector operations.
+//! Medians come from a sorting network (Batcher's odd-even merge, Knuth, "The Art of Computer Programming",
+//! vol. 3, algorithm 5.2.2M), which takes the same steps for every pixel.
 
 use ndarray::Array2;
 use radcam_sim::rng::{PixelRng, Stream};
 use rayon::prelude::*;
 
-/// Where the search for outliers starts.
+/// Start of the search for outliers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Start {
     /// Median over the configurations.
@@ -18,26 +18,26 @@ pub enum Start {
     Mean,
 }
 
-/// Pixels side by side.
+/// Pixels per vector.
 const LANES: usize = 16;
 type Lane = [f32; LANES];
 
 /// Tukey's constant: 95 % efficiency for normal data.
 const BIWEIGHT: f32 = 4.685;
-/// Rounds of the biweight, from the median.
+/// Iterations of the biweight, from the median.
 const ROUNDS: usize = 4;
 
-/// The light of all configurations.
+/// Light of all configurations.
 pub(super) trait Light: Sync {
-    /// What goes down the frame from a row on, and writes that row of every configuration, one after the other, DN; then the
-    /// next one.
+    /// Returns a function that walks down the frame from a row on. Each call writes the next row of every
+    /// configuration, one after the other, DN.
     fn sweep(&self, first_row: usize) -> impl FnMut(&mut [f32]);
 }
 
-/// Rows that one thread takes at a time.
+/// Rows per work item of a thread.
 const BAND: usize = 64;
 
-/// How the slopes of a pixel become one K.
+/// Location estimator that combines the slopes of a pixel into K.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Location {
     /// Sum of e over sum of light where the slope lies within `reach` of the start (eq. 49 and 50).
@@ -87,7 +87,7 @@ impl Network {
     }
 }
 
-/// One piece of work: the pixels of one row.
+/// Work item: the pixels of one row.
 struct Row<'a> {
     network: &'a Network,
     location: Location,
@@ -112,7 +112,7 @@ impl pulp::NullaryFnOnce for Row<'_> {
         for from in (0..columns).step_by(LANES) {
             let width = LANES.min(columns - from);
             for i in 0..n1 {
-                // Past the end of the row: harmless numbers.
+                // Pads with harmless numbers past the end of the row.
                 (e[i], light[i]) = ([1.0; LANES], [1.0; LANES]);
                 e[i][..width].copy_from_slice(&self.e[i][from..from + width]);
                 light[i][..width].copy_from_slice(&self.light[i * columns + from..][..width]);
@@ -131,7 +131,7 @@ impl pulp::NullaryFnOnce for Row<'_> {
     }
 }
 
-/// K and the number of points with weight, for 16 pixels.
+/// Computes K and the number of points with weight, for 16 pixels.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)] // lanes are indexed: the shape that vectorises
 fn locate(
@@ -164,7 +164,7 @@ fn locate(
                 }
             }
             for l in 0..LANES {
-                // Nothing kept: the start is all there is, and the count says so.
+                // Nothing kept: K is the start, and the count is 0.
                 middle[l] = if points[l] > 0.0 { sum_e[l] / sum_light[l] } else { middle[l] };
             }
         }
@@ -181,7 +181,7 @@ fn locate(
                         let w = if inside > 0.0 { inside * inside } else { 0.0 };
                         sum[l] += w * off;
                         weights[l] += w;
-                        // 1 for any weight, without the masked store that a condition becomes.
+                        // 1 for any weight, without the masked store of a condition.
                         let counts = w * 1e30;
                         points[l] += if counts < 1.0 { counts } else { 1.0 };
                     }
@@ -195,7 +195,7 @@ fn locate(
     (middle, points)
 }
 
-/// K at every pixel and the points with weight there.
+/// Estimates K at every pixel; returns the number of points with weight there.
 pub(super) fn estimate(
     configurations: &[Array2<f32>],
     light: &impl Light,
@@ -228,7 +228,8 @@ pub(super) fn estimate(
     kept
 }
 
-/// Variance of an estimator of scale 1 for standard normal slopes, and the mean number of points with weight, by running it.
+/// Simulates an estimator of scale 1 for standard normal slopes; returns its variance and the mean number of
+/// points with weight.
 pub(super) fn efficiency(n1: usize, location: Location) -> (f64, f64) {
     const BLOCKS: u32 = 250;
     let network = Network::new(n1);
@@ -277,7 +278,8 @@ mod tests {
         }
     }
 
-    /// Without outliers the biweight loses 5 % to the mean at many points; keeping within 1.5 deviations more.
+    /// Without outliers the biweight loses 5 % to the mean at many points; keeping points within 1.5
+    /// deviations loses more.
     #[test]
     fn efficiencies_are_the_known_ones() {
         let (biweight, _) = efficiency(50, Location::Biweight { scale: 1.0 });

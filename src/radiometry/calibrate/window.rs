@@ -1,15 +1,15 @@
-//! Means over a window centred at every pixel (eq. 47), at a cost that does not depend on the window's size (but for a rim
-//! of half a window).
+//! Means over a window centred at every pixel (eq. 47), at a cost independent of the window's size (except
+//! for a rim of half a window).
 
 use ndarray::{Array2, ArrayView2};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Mean over an `m` x `m` window centred at each pixel, (rows, columns). At the edges the window is cut off, and the plane of
-/// least squares through what is left is taken at the pixel: its mean would belong to another place, and light that falls
-/// towards the edges would pass for a K below 1.
+/// Computes the mean over an `m` x `m` window centred at each pixel, (rows, columns). At the edges the window
+/// is truncated, and the least-squares plane through the rest is evaluated at the pixel: its mean would
+/// belong to another place, and light that falls towards the edges would appear as a K below 1.
 ///
-/// `m` is taken as the odd number not below it. Sums are kept in `f64`, added and taken off along the way.
+/// `m` is rounded up to an odd number. Sums are kept in `f64`, and updated along the way.
 ///
 /// ```
 /// let even = ndarray::Array2::from_elem((20, 30), 7.5f32);
@@ -30,13 +30,13 @@ pub fn mean(image: ArrayView2<'_, f32>, m: usize) -> Array2<f32> {
     out
 }
 
-/// [`mean`] row by row: the column sums of the window are carried downwards.
+/// Row-by-row [`mean`]: the column sums of the window are carried downwards.
 pub(super) struct Sweep<'a> {
     image: ArrayView2<'a, f32>,
     reach: usize,
     row: usize,
     sums: Vec<f64>,
-    /// Column sums of the slope along y, for rows whose window is cut.
+    /// Column sums of the slope along y, for rows with a truncated window.
     tilted: Vec<f64>,
     held: Range<usize>,
 }
@@ -69,7 +69,7 @@ impl<'a> Sweep<'a> {
         }
         *row += 1;
         let height = wanted.len() as f64;
-        // Along the row, the same with the column sums: first where the window is cut, then where it is whole.
+        // Along the row, likewise with the column sums: first truncated windows, then whole ones.
         let (reach, whole) = (*reach, *reach..columns.saturating_sub(*reach));
         for x in (0..columns).filter(|x| !whole.contains(x)) {
             let across = window(x, reach, columns);
@@ -103,7 +103,7 @@ impl<'a> Sweep<'a> {
     }
 }
 
-/// [`mean`] at one pixel, by its definition.
+/// Computes [`mean`] at one pixel, by its definition.
 pub(super) fn at(image: ArrayView2<'_, f32>, m: usize, (y, x): (usize, usize)) -> f64 {
     let (down, across) = (window(y, m / 2, image.nrows()), window(x, m / 2, image.ncols()));
     let (of_y, of_x) = (Lever::new(&down, y), Lever::new(&across, x));
@@ -117,13 +117,13 @@ pub(super) fn at(image: ArrayView2<'_, f32>, m: usize, (y, x): (usize, usize)) -
     sum
 }
 
-/// Places of a window about `at` that lie inside.
+/// Returns the places of a window about `at` that lie inside.
 fn window(at: usize, reach: usize, n: usize) -> Range<usize> {
     at.saturating_sub(reach)..(at + reach + 1).min(n)
 }
 
-/// Along one axis of a window that an edge cuts: what each place adds for the slope of a line through the window, evaluated at
-/// the pixel.
+/// Weights along one axis of a truncated window: contribution of each place to the slope of a line through
+/// the window, evaluated at the pixel.
 struct Lever {
     cut: bool,
     middle: f64,
@@ -136,7 +136,7 @@ impl Lever {
         let n = window.len() as f64;
         let middle = 0.5 * (window.start + window.end - 1) as f64;
         let off = at as f64 - middle;
-        // Of n equally spaced places.
+        // For n equally spaced places.
         let spread = n * (n * n - 1.0) / 12.0;
         let cut = off != 0.0 && spread > 0.0;
         Self { cut, middle, slope: if cut { off / spread } else { 0.0 } }
@@ -153,7 +153,8 @@ impl Lever {
     }
 }
 
-/// Variance of [`mean`] at a pixel for independent pixels of variance 1: 1/m^2 inside, more where an edge cuts the window.
+/// Computes the variance of [`mean`] at a pixel for independent pixels of variance 1: 1/m^2 inside, more for
+/// a truncated window.
 pub fn variance((y, x): (usize, usize), (rows, columns): (usize, usize), m: usize) -> f64 {
     let (down, across) = (window(y, m / 2, rows), window(x, m / 2, columns));
     let (h, w) = (down.len(), across.len());
@@ -186,7 +187,7 @@ mod tests {
     }
 
     proptest! {
-        /// Against the definition, over sizes smaller and larger than the window.
+        /// Compared with the definition, for sizes smaller and larger than the window.
         #[test]
         fn it_is_the_mean_over_the_window(
             rows in 1usize..14, columns in 1usize..14, reach in 0usize..5, seed in any::<u32>()
@@ -201,7 +202,8 @@ mod tests {
                         y.saturating_sub(reach)..(y + reach + 1).min(rows),
                         x.saturating_sub(reach)..(x + reach + 1).min(columns)
                     ]);
-                    // The plane of least squares through the window, at the pixel: x and y are orthogonal over a rectangle.
+                    // Least-squares plane through the window, at the pixel: x and y are orthogonal over a
+                    // rectangle.
                     let values = part.mapv(f64::from);
                     let (h, w) = values.dim();
                     let (from_y, from_x) = (y.saturating_sub(reach) as f64, x.saturating_sub(reach) as f64);

@@ -1,11 +1,11 @@
-//! The high-pass filters that the standard puts before nonuniformities, so that uneven light is not counted.
+//! High-pass filters that the standard applies before nonuniformities, to exclude uneven light.
 
 use ndarray::{Array2, ArrayView1, Axis, Zip, s};
 
-/// Which smoothed image is taken off.
+/// Smoothed image that is subtracted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HighPass {
-    /// None.
+    /// No filter.
     None,
     /// Release 3.1, appendix C.5: a 5 x 5 box.
     Box5,
@@ -13,17 +13,17 @@ pub(super) enum HighPass {
     Two,
 }
 
-/// What a filter leaves of the variance of white nonuniformity.
+/// Gains of a filter for the variance of white nonuniformity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Gains {
-    /// Of pixels that differ by themselves.
+    /// Gain for pixels that differ individually.
     pub pixels: f64,
-    /// Of rows, or columns, that differ as a whole.
+    /// Gain for rows, or columns, that differ as a whole.
     pub lines: f64,
 }
 
 impl HighPass {
-    /// The smoothing along one axis, from the middle outwards: its weights at 0, 1, 2... pixels.
+    /// Returns the weights of the smoothing along one axis, at 0, 1, 2... pixels from the middle.
     fn weights(self) -> Vec<f64> {
         let boxed = |n: usize| vec![1.0 / n as f64; n];
         let convolved = |a: &[f64], b: &[f64]| {
@@ -42,17 +42,17 @@ impl HighPass {
         }
     }
 
-    /// Rows and columns at each border where the filter would look beyond the image; they are left out (appendix C.5).
+    /// Rows and columns excluded at each border, where the filter would look beyond the image (appendix C.5).
     pub fn border(self) -> usize {
         self.weights().len().saturating_sub(1)
     }
 
-    /// The image less the smoothed image, without its borders. `None` where nothing would be left.
+    /// Subtracts the smoothed image, and cuts off the borders. `None` if nothing would be left.
     pub fn apply(self, image: &Array2<f64>) -> Option<Array2<f64>> {
         let weights = self.weights();
         let border = self.border();
         let (rows, columns) = image.dim();
-        // Lines need two pixels at least for a variance of their means.
+        // Lines need at least two pixels for a variance of their means.
         if rows < 2 * border + 2 || columns < 2 * border + 2 {
             return None;
         }
@@ -65,8 +65,8 @@ impl HighPass {
         Some(&inner - &smoothed)
     }
 
-    /// What is left of white variances: with r the smoothing's weights, 1 - 2 r(0) + sum r^2, in two dimensions for pixels and in one for
-    /// lines, which smoothing along them does not change.
+    /// Computes the gains for white variances: with r the smoothing's weights, 1 - 2 r(0) + sum r^2, in two
+    /// dimensions for pixels and in one for lines, which smoothing along them does not change.
     pub fn gains(self) -> Gains {
         let weights = self.weights();
         let Some(middle) = weights.first().copied() else { return Gains { pixels: 1.0, lines: 1.0 } };
@@ -75,7 +75,7 @@ impl HighPass {
     }
 }
 
-/// Smooths down the columns; rows at the border are left out.
+/// Smooths down the columns; rows at the border are cut off.
 fn smooth(image: &Array2<f64>, weights: &[f64]) -> Array2<f64> {
     let border = weights.len() - 1;
     let rows = image.nrows() - 2 * border;
@@ -95,7 +95,7 @@ fn smooth(image: &Array2<f64>, weights: &[f64]) -> Array2<f64> {
 mod tests {
     use super::*;
 
-    /// A slope and a bowl, as uneven light makes them, vanish; white noise keeps the gain that is said.
+    /// A slope, as from uneven light, vanishes; white noise keeps the stated gain.
     #[test]
     fn uneven_light_goes_and_noise_stays() {
         let mut state = 7u64;
@@ -109,14 +109,15 @@ mod tests {
             let slope = Array2::from_shape_fn((300, 400), |(y, x)| 100.0 + 0.1 * y as f64 - 0.03 * x as f64);
             assert!(filter.apply(&slope).unwrap().iter().all(|v| v.abs() < 1e-9));
             let gains = filter.gains();
-            // 112 000 pixels: the variance to 0.4 %; 282 lines: to 8 %. Three of these.
+            // 112 000 pixels give the variance to 0.4 %, 282 lines to 8 %. Tolerance: three of these.
             let left = filter.apply(&white).unwrap().var(0.0) / white.var(0.0);
             assert!((left / gains.pixels - 1.0).abs() < 0.013, "{filter:?}: {left} {gains:?}");
             let rows = Array2::from_shape_fn((300, 400), |(y, _)| lines[y]);
             let left = filter.apply(&rows).unwrap().var(0.0) / rows.var(0.0);
             assert!((left / gains.lines - 1.0).abs() < 0.25, "{filter:?}: {left} {gains:?}");
         }
-        // 1 - 1/25 and 1 - 1/5 of the variance. (Appendix C.5 prints (1 - 1/25)^2: it leaves out what the neighbours add.)
+        // 1 - 1/25 and 1 - 1/5 of the variance. (Appendix C.5 prints (1 - 1/25)^2, without the contribution
+        // of the neighbours.)
         let gains = HighPass::Box5.gains();
         assert!((gains.pixels - 0.96).abs() < 1e-12 && (gains.lines - 0.8).abs() < 1e-12, "{gains:?}");
         assert!(HighPass::Two.apply(&Array2::zeros((19, 40))).is_none());

@@ -1,5 +1,5 @@
-//! The general model of release 4.0: a camera as a black box, neither linear nor raw. Equation numbers are those of release 4.0 General
-//! (release candidate of 2021-03-15).
+//! General model of release 4.0: a camera as a black box, neither linear nor raw. Equation numbers are those
+//! of release 4.0 General (release candidate of 2021-03-15).
 
 use super::Definitions;
 use super::lines::{dark_lines, of_variance, signal_std};
@@ -14,20 +14,21 @@ use radcam_sim::rng::{PixelRng, Stream};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What the general model says, in photons: without a linear camera there are no electrons.
+/// Results of the general model, in photons: without a linear camera there are no electrons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct General {
-    /// By name: R_d, u_p_min, u_p_sat, DR, DR_dB, SNR_max, SNR_max_dB, sigma_y_dark, sigma_d, u_I_mean, DSNU1288, PRNU1288; null where undefined.
+    /// Quantities by name: R_d, u_p_min, u_p_sat, DR, DR_dB, SNR_max, SNR_max_dB, sigma_y_dark, sigma_d,
+    /// u_I_mean, DSNU1288, PRNU1288; null where undefined.
     pub quantities: BTreeMap<String, Option<Quantity>>,
     /// Input signal-to-noise ratio of every level up to saturation: photons, SNR_p (eq. 10), and with spatial nonuniformity (eq. 60).
     pub snr: Vec<(f64, f64, f64)>,
 }
 
-/// Draws of the parametric bootstrap by which errors are estimated: its error is 5 % of them.
+/// Draws of the parametric bootstrap for the errors, which have an error of 5 % themselves.
 const DRAWS: u64 = 200;
 
-/// What the curves are made of.
+/// Input of the curves.
 #[derive(Clone)]
 struct Levels {
     points: Vec<Temporal>,
@@ -36,7 +37,7 @@ struct Levels {
     sat: f64,
     /// Slope of the dark mean, DN/s.
     dark_slope: f64,
-    /// Spatial variances of bright and dark, DN^2, and the photons of the bright ones.
+    /// Spatial variances of the bright and the dark stack, DN^2, and photons of the bright one.
     spatial: Option<(f64, f64, f64)>,
 }
 
@@ -47,7 +48,8 @@ struct Curves {
 }
 
 impl Curves {
-    /// 6 to 8 intervals for the standard's 50 levels (section 6.6). The dark is the level of no photons.
+    /// Fits the curves, with 6 to 8 intervals for the standard's 50 levels (section 6.6). The dark is the
+    /// level of no photons.
     fn of(l: &Levels) -> Option<Self> {
         let intervals = (l.points.len() / 7).clamp(1, 8);
         let with_dark = |dark: f64, of: &dyn Fn(&Temporal) -> f64| -> Option<Spline> {
@@ -67,12 +69,13 @@ impl Curves {
     }
 }
 
-/// In the order of [`NAMES`].
+/// Computes the quantities in the order of [`NAMES`].
 fn compute(l: &Levels) -> Option<[f64; NAMES.len()]> {
     let curves = Curves::of(l)?;
     let slope = curves.mean.at(0.0).1;
-    // The photons for which SNR_p is 1. The standard's regression of the inverse curve begins at the dimmest level, whose SNR is 10 or more;
-    // mean and variance are known down to no light, and their regressions give SNR_p there.
+    // Photons at which SNR_p is 1. The standard's regression of the inverse curve begins at the dimmest
+    // level, whose SNR is 10 or more. Mean and variance are known down to no light, and their regressions
+    // give SNR_p there.
     let snr = |p: f64| curves.snr(p, curves.variance.at(p).0.max(l.dark_dn2));
     let (mut low, mut high) = (0.0, l.sat);
     for _ in 0..100 {
@@ -82,7 +85,7 @@ fn compute(l: &Levels) -> Option<[f64; NAMES.len()]> {
     let u_p_min = 0.5 * (low + high);
     let snr_max = l.points.iter().map(|p| curves.snr(p.photons, p.flat.var_dn2)).fold(0.0, f64::max);
     let (dsnu, prnu) = l.spatial.map_or((f64::NAN, f64::NAN), |(bright, dark, photons)| {
-        // Back to the input by the slope at each level (eq. 58 and 59).
+        // Converts to the input by the slope at each level (eq. 58 and 59).
         let bright_p = bright / curves.mean.at(photons).1.powi(2);
         let dark_p = dark / (slope * slope);
         (dark_p.sqrt(), 100.0 * (bright_p - dark_p).sqrt() / photons)
@@ -118,7 +121,8 @@ const NAMES: [(&str, &str); 12] = [
     ("PRNU1288", "%"),
 ];
 
-/// The general model. None where photons or saturation are not known, or there are too few levels for the regression.
+/// Evaluates the general model. `None` if photons or saturation are unknown, or there are too few levels for
+/// the regression.
 pub(super) fn general(points: &Points, saturated: &Saturation) -> Option<General> {
     let Saturation::At { photons: sat, .. } = saturated else { return None };
     if !points.photons_known {
@@ -165,7 +169,7 @@ pub(super) fn general(points: &Points, saturated: &Saturation) -> Option<General
                 drawn.0 += normal(s[0].1);
                 drawn.1 += normal(s[1].1);
             }
-            // The calibration of the light moves every level together.
+            // An error of the calibration of the light moves all levels together.
             let scale = 1.0 + normal(points.light.irradiance_rel_std.unwrap_or(0.0));
             drawn.points.iter_mut().for_each(|p| p.photons *= scale);
             drawn.sat *= scale;

@@ -2,20 +2,21 @@
 
 use super::Definitions;
 
-/// A histogram: the values of its bins' middles and how many pixels lie in each.
+/// Histogram: centres of the bins, and number of pixels in each.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Histogram {
-    /// Middle of each bin; the reference tool has the lower edges.
+    /// Centre of each bin; lower edge with the reference tool.
     pub bins: Vec<f64>,
     pub counts: Vec<f64>,
     /// Width of a bin.
     pub width: f64,
 }
 
-/// Bins at most.
+/// Maximum number of bins.
 const BINS: i64 = 256;
 
-/// Of whole numbers that are `scale` times the values; bins are whole steps wide (eq. 73 to 75).
+/// Computes the histogram of integers that are `scale` times the values; bins are whole steps wide (eq. 73 to
+/// 75).
 pub(super) fn histogram(values: &[i64], scale: f64, definitions: Definitions) -> Histogram {
     let (Some(&min), Some(&max)) = (values.iter().min(), values.iter().max()) else {
         return Histogram { bins: Vec::new(), counts: Vec::new(), width: 1.0 / scale };
@@ -28,17 +29,17 @@ pub(super) fn histogram(values: &[i64], scale: f64, definitions: Definitions) ->
     for v in values {
         counts[((v - min) / width) as usize] += 1.0;
     }
-    // numpy's last bin has its upper edge too; no value lies there.
+    // numpy's last bin includes its upper edge; no value lies there.
     let middle = if as_tool { 0.0 } else { 0.5 * (width as f64 - 1.0) };
     let bins = (0..n).map(|q| ((min + q as i64 * width) as f64 + middle) / scale).collect();
     Histogram { bins, counts, width: width as f64 / scale }
 }
 
-/// Share of the pixels, per cent, that deviate from the mean by so much or more (eq. 77 to 81).
+/// Computes the share of the pixels, per cent, that deviate from the mean by so much or more (eq. 77 to 81).
 pub(super) fn accumulated(values: &[i64], scale: f64, definitions: Definitions) -> Histogram {
     let n = values.len() as f64;
     let mean = values.iter().sum::<i64>() as f64 / n;
-    // To the whole step; the tool cuts its fraction off.
+    // Rounded to the whole step; the tool truncates.
     let mean = if definitions == Definitions::ReferenceTool { mean.trunc() } else { mean.round() } as i64;
     let deviations: Vec<i64> = values.iter().map(|v| (v - mean).abs()).collect();
     let mut h = histogram(&deviations, scale, definitions);

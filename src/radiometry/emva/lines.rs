@@ -1,21 +1,24 @@
-//! The lines of the standard, with the errors of their slopes: photon transfer, response, dark current, linearity.
+//! Lines of the standard, with the errors of their slopes: photon transfer, response, dark current,
+//! linearity.
 
 use super::points::{Dark, Temporal};
 use super::{Definitions, EmvaError, saturation};
 use crate::fit::line::goodness;
 use crate::number::six_digits;
 
-/// Share of dark samples at 0 DN from which they count as clipped (section 6.5: less than about 0.5 %).
+/// Share of dark samples at 0 DN above which they count as clipped (section 6.5: less than about 0.5 %).
 pub(super) const UNDERFLOW: f64 = 0.005;
-/// Part of saturation up to which gain and responsivity are fitted (section 6.6).
+/// Maximum signal for the fit of gain and responsivity, as a share of saturation (section 6.6).
 pub(crate) const FIT_RANGE: f64 = 0.7;
-/// Part of saturation within which linearity is looked at (section 6.9).
+/// Range of the linearity error, as shares of saturation (section 6.9).
 pub(crate) const LINEAR_RANGE: (f64, f64) = (0.05, 0.95);
-/// Chance of a chi-square below which the scatter about a line, not the noise of the points, gives its errors.
+/// Minimum p-value of chi-square; below it the errors come from the scatter about a line, not from the noise
+/// of the points.
 const BY_CHANCE: f64 = 0.01;
 
-/// A line y = slope x + offset without weights, from points (x, y, standard error of y); the offset may be held at 0. Errors of slope and offset
-/// come from those of the points, or from their scatter where it is more than chance.
+/// Unweighted line y = slope x + offset, from points (x, y, standard error of y); the offset may be fixed at
+/// zero. Errors of slope and offset come from those of the points, or from their scatter if it is more than
+/// chance.
 pub(super) struct Fitted {
     pub slope: f64,
     pub offset: f64,
@@ -23,9 +26,9 @@ pub(super) struct Fitted {
     points: Vec<(f64, f64)>,
     mean_x: f64,
     xx: f64,
-    /// 1 / n, or 0 where the offset is held at 0.
+    /// 1 / n, or 0 if the offset is fixed at 0.
     share: f64,
-    /// How much wider the scatter is than the points' errors.
+    /// Ratio of the scatter to the points' errors, if it is more than chance; otherwise 1.
     scale: f64,
 }
 
@@ -39,7 +42,7 @@ impl Fitted {
         self.std_of(|x| (x - self.mean_x) / self.xx)
     }
 
-    /// The line at x and its standard error.
+    /// Line at x, with its standard error.
     pub fn at(&self, x: f64) -> (f64, f64) {
         let std = self.std_of(|of| self.share + (x - self.mean_x) * (of - self.mean_x) / self.xx);
         (self.offset + self.slope * x, std)
@@ -53,7 +56,8 @@ pub(super) fn line(points: &[(f64, f64, f64)], through_origin: bool) -> Fitted {
     let xx: f64 = points.iter().map(|p| (p.0 - mx).powi(2)).sum();
     let slope = points.iter().map(|p| (p.0 - mx) * (p.1 - my)).sum::<f64>() / xx;
     let offset = my - slope * mx;
-    // Whether a line describes the points is told by the best one: this one leaves more than noise where points of small error lie.
+    // The weighted line decides whether a line describes the points: the unweighted one leaves more than
+    // noise at points of small error.
     let (chi2, dof) = best_chi2(points, through_origin);
     let by_scatter = dof > 0.0 && chi2.is_finite() && goodness(chi2, dof) < BY_CHANCE;
     let scale = if by_scatter { (chi2 / dof).sqrt() } else { 1.0 };
@@ -69,7 +73,7 @@ pub(super) fn line(points: &[(f64, f64, f64)], through_origin: bool) -> Fitted {
     }
 }
 
-/// Chi-square of the weighted line and its degrees of freedom.
+/// Computes chi-square of the weighted line and its degrees of freedom.
 fn best_chi2(points: &[(f64, f64, f64)], through_origin: bool) -> (f64, f64) {
     if !through_origin {
         let line = crate::fit::line::fit(points.iter().map(|p| (p.0, p.1, p.2 * p.2)));
@@ -90,12 +94,12 @@ pub(super) fn noise_std(p: &Temporal, pixels: f64) -> f64 {
     of_variance(p.flat.var_dn2, pixels).hypot(of_variance(p.dark.var_dn2, pixels))
 }
 
-/// Standard error of a level's mean above its dark's, DN: two frames each.
+/// Standard error of a level's mean above its dark's, DN, from two frames each.
 pub(super) fn signal_std(p: &Temporal, pixels: f64) -> f64 {
     ((p.flat.var_dn2 + p.dark.var_dn2) / (2.0 * pixels)).sqrt()
 }
 
-/// The photon transfer line, of slope K, and the response line, of slope R (section 6.6).
+/// Fits the photon transfer line, of slope K, and the response line, of slope R (section 6.6).
 pub(super) fn transfer_lines(
     used: &[Temporal],
     pixels: f64,
@@ -104,20 +108,21 @@ pub(super) fn transfer_lines(
 ) -> [Fitted; 2] {
     let noise: Vec<_> = used.iter().map(|p| (p.signal_dn(), p.noise_dn2(), noise_std(p, pixels))).collect();
     let response: Vec<_> = used.iter().map(|p| (p.photons, p.signal_dn(), signal_std(p, pixels))).collect();
-    // Release 4.0: unknown offset (eq. 50). Before: no offset. The response has none (eq. 49), unless the darks are cut off.
+    // Release 4.0: free offset (eq. 50); before: none. The response has none (eq. 49), unless the darks are
+    // clipped.
     [line(&noise, definitions != Definitions::Release4), line(&response, !clipped)]
 }
 
-/// Share of the samples of the darks at 0 DN, at most.
+/// Maximum share of samples at 0 DN over all darks.
 pub(super) fn underflow(darks: &[Dark]) -> f64 {
     darks.iter().map(|d| d.pair.zero_share).fold(0.0, f64::max)
 }
 
-/// Ratio of the highest to the lowest level from which on a slope means something (a named choice: EMVA 1288 wants
-/// 50 levels from dark to saturation).
+/// Minimum ratio of the highest to the lowest level for a meaningful slope (a named choice: EMVA 1288 asks
+/// for 50 levels from dark to saturation).
 pub(crate) const MIN_RANGE: f64 = 1.5;
 
-/// The levels that gain and responsivity are fitted to: up to 70 % of saturation.
+/// Selects the levels for the fit of gain and responsivity: up to 70 % of saturation.
 pub(super) fn fitted_points(
     t: &[Temporal],
     most: f64,
@@ -133,7 +138,7 @@ pub(super) fn fitted_points(
         ));
     }
     let within: Vec<Temporal> = if definitions == Definitions::ReferenceTool {
-        // Up to the last level of the list that lies below.
+        // Up to the last level of the list that lies below the limit.
         let last = t.iter().rposition(|p| p.signal_dn() <= limit);
         last.map(|last| t[..=last].to_vec()).unwrap_or_default()
     } else {
@@ -141,7 +146,7 @@ pub(super) fn fitted_points(
         t.iter().filter(below).copied().collect()
     };
     let needed = if definitions == Definitions::Release4 { 3 } else { 1 };
-    // Saturation lies beyond the brightest level if none saturates: all are below it, by how much is not known.
+    // If no level saturates, saturation lies beyond the brightest: all are below it, by an unknown amount.
     let is_beyond = t.iter().all(|p| p.signal_dn() <= most && p.flat.full_share < saturation::SHARE);
     let within = if definitions == Definitions::Release4 && is_beyond && within.len() < needed {
         t.iter().filter(|p| !(clipped && p.flat.zero_share > UNDERFLOW)).copied().collect()
@@ -184,12 +189,12 @@ pub(super) fn distinct(darks: &[Dark]) -> usize {
     exposures.len()
 }
 
-/// Darks whose exposure has a flat: the reference tool knows no others.
+/// Returns the darks whose exposure has a flat: the reference tool uses no others.
 pub(super) fn with_flats(darks: &[Dark]) -> Vec<Dark> {
     darks.iter().filter(|d| d.with_flat).copied().collect()
 }
 
-/// Lines of the darks' means and variances against the exposure; none for fewer than three exposures.
+/// Fits lines of the darks' means and variances against the exposure; `None` for fewer than three exposures.
 pub(super) fn dark_lines(darks: &[Dark], pixels: f64) -> Option<[Fitted; 2]> {
     let means: Vec<_> = darks
         .iter()
@@ -200,7 +205,8 @@ pub(super) fn dark_lines(darks: &[Dark], pixels: f64) -> Option<[Fitted; 2]> {
     (distinct(darks) > 2).then(|| [line(&means, false), line(&variances, false)])
 }
 
-/// The line of the linearity error (eq. 59 to 61): offset and slope with weights 1 / y^2, and the places of the first and last level of its range.
+/// Line of the linearity error (eq. 59 to 61): offset and slope with weights 1 / y^2, and the levels of its
+/// range.
 pub(super) struct Linearity {
     pub offset: f64,
     pub slope: f64,
@@ -215,7 +221,7 @@ impl Linearity {
     }
 }
 
-/// Fits levels between 5 and 95 % of a signal; none for fewer than three.
+/// Fits the levels between 5 and 95 % of a signal; `None` for fewer than three.
 pub(super) fn linear_range(t: &[Temporal], most: f64, definitions: Definitions) -> Option<Linearity> {
     let (low, high) = (LINEAR_RANGE.0 * most, LINEAR_RANGE.1 * most);
     let levels: Vec<Temporal> = if definitions == Definitions::ReferenceTool {

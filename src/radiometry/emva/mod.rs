@@ -1,11 +1,13 @@
 //! EMVA Standard 1288: the quantities of a camera's datasheet, each with a standard error.
 //!
-//! The definitions are those of release 4.0 Linear by default; equation and section numbers in this module are those of its text (release
-//! candidate of 2021-03-15). [`Definitions`] has release 3.1 and those of the reference tool (PyPI `emva1288` 1.0.2), which follows 3.1 in most.
-//! docs/emva.md lists what differs, quantity by quantity. The general model of release 4.0 is in [`General`].
+//! The default definitions are those of release 4.0 Linear; equation and section numbers in this module are
+//! those of its text (release candidate of 2021-03-15). [`Definitions`] has release 3.1 and those of the
+//! reference tool (PyPI `emva1288` 1.0.2), which mostly follows 3.1. docs/emva.md lists the differences,
+//! quantity by quantity. The general model of release 4.0 is in [`General`].
 //!
-//! Errors are propagated to first order from independent inputs: variances of pairs (eq. 19), variances of lines and pixels, the scatter of the
-//! responsivity, the calibration of the light. Their coverage is tested on 500 simulated cameras (docs/emva.md).
+//! Errors are propagated to first order from independent inputs: variances of pairs (eq. 19), variances of
+//! lines and pixels, the scatter of the responsivity, the calibration of the light. Their coverage is tested
+//! on 500 simulated cameras (docs/emva.md).
 
 mod filter;
 mod general;
@@ -29,7 +31,7 @@ pub use quantities::{Evaluation, GainByNoise, Limit, evaluate};
 use crate::data_faults::ExamineError;
 use serde::{Deserialize, Serialize};
 
-/// Whose definitions hold.
+/// Source of the definitions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Definitions {
@@ -55,17 +57,17 @@ impl std::fmt::Display for Definitions {
     }
 }
 
-/// Why a dataset has no EMVA 1288 evaluation.
+/// Error: a dataset has no EMVA 1288 evaluation.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EmvaError {
-    /// The dataset.
+    /// Error of the dataset.
     #[error(transparent)]
     Dataset(#[from] crate::dataset::DatasetError),
-    /// What the standard needs is not there.
+    /// Data that the standard needs are missing.
     #[error("EMVA 1288: {0}")]
     Missing(String),
-    /// The user asked for the end.
+    /// Interrupted by the user.
     #[error("interrupted")]
     Interrupted,
 }

@@ -1,6 +1,6 @@
-//! What the quantities are called, in the order of the standard's datasheet (release 4.0 Linear, table 2).
+//! Names of the quantities, in the order of the standard's datasheet (release 4.0 Linear, table 2).
 
-/// A quantity: its name, the standard's symbol, and what it is.
+/// Name of a quantity, the standard's symbol, and its meaning.
 pub type Name = (&'static str, &'static str, &'static str);
 
 /// Headings of a datasheet and the quantities under each.

@@ -1,4 +1,4 @@
-//! The plots of a datasheet.
+//! Plots of a datasheet.
 
 use super::histogram::{Histogram, accumulated, histogram};
 use super::lines::{
@@ -14,7 +14,7 @@ use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 use std::borrow::Cow;
 
-/// So many numbers from a to b, in equal steps or equal ratios.
+/// Lists `n` numbers from a to b, in equal steps or equal ratios.
 fn between(a: f64, b: f64, n: u32, ratios: bool) -> impl Iterator<Item = f64> {
     (0..n).map(move |i| {
         let part = f64::from(i) / f64::from(n - 1);
@@ -24,7 +24,7 @@ fn between(a: f64, b: f64, n: u32, ratios: bool) -> impl Iterator<Item = f64> {
 
 const SIGNAL: &str = "signal μ_y − μ_y.dark (DN)";
 
-/// Every plot that the points allow, in the order of the datasheet.
+/// Returns all plots that the points allow, in the order of the datasheet.
 pub fn plots(points: &Points, evaluation: &Evaluation) -> Vec<Plot> {
     let mut all = temporal(points, evaluation);
     all.extend(spatial(points, evaluation));
@@ -136,11 +136,12 @@ fn temporal(points: &Points, e: &Evaluation) -> Vec<Plot> {
     all
 }
 
-/// Signal-to-noise ratio against the photons: measured, the model (eq. 21), with nonuniformity (eq. 69), and the shot-noise limit (eq. 23).
+/// Plots the signal-to-noise ratio against the photons: measured, the model (eq. 21), with nonuniformity (eq.
+/// 69), and the shot-noise limit (eq. 23).
 fn snr(points: &Points, value: &dyn Fn(&str) -> f64, photons: &str) -> Plot {
     let pixels = (points.shape.0 * points.shape.1) as f64;
     let of = |var: &dyn Fn(&Temporal) -> f64| -> Vec<[f64; 3]> {
-        // Beyond saturation the noise is cut off, and the ratio says nothing.
+        // Beyond saturation the noise is clipped, and the ratio is meaningless.
         let end = Some(value("u_p_sat")).filter(|e| e.is_finite()).unwrap_or(f64::INFINITY);
         let below = |p: &&Temporal| p.photons <= end && p.flat.full_share < 0.01;
         let lit = points.temporal.iter().filter(|p| var(p) > 0.0 && p.signal_dn() > 0.0).filter(below);
@@ -214,7 +215,7 @@ fn dark_plots(points: &Points, pixels: f64) -> Vec<Plot> {
     ]
 }
 
-/// Mean power spectrum of the rows (eq. 70 and 71), from 0 to half a cycle per pixel.
+/// Computes the mean power spectrum of the rows (eq. 70 and 71), from 0 to half a cycle per pixel.
 pub(crate) fn power(image: &Array2<f64>) -> Vec<f64> {
     let (rows, columns) = image.dim();
     let mean = image.mean().unwrap_or(0.0);
@@ -250,7 +251,7 @@ fn spatial(points: &Points, e: &Evaluation) -> Vec<Plot> {
     let dark_image = dark.mean_image_dn();
     let response = bright.mean_image_dn() - &dark_image;
     let mean = response.mean().unwrap_or(f64::NAN);
-    // The tool filters histograms of the PRNU only.
+    // The tool filters only histograms of the PRNU.
     let as_tool = e.definitions == Definitions::ReferenceTool;
     let (dark_flat, response_flat) =
         (filtered(&dark_image, e.definitions).0, filtered(&response, e.definitions).0);
@@ -276,7 +277,7 @@ fn spatial(points: &Points, e: &Evaluation) -> Vec<Plot> {
             let p = power(&image);
             // The tool counts its frequencies in bins of the half spectrum.
             let step = if as_tool { 0.5 / p.len() as f64 } else { 1.0 / columns };
-            // The mean of M squares of normal numbers, two each but at both ends.
+            // Mean of M squares of normal numbers, two each except at both ends.
             p.iter()
                 .enumerate()
                 .map(|(v, p)| {
@@ -318,7 +319,7 @@ fn spatial(points: &Points, e: &Evaluation) -> Vec<Plot> {
     all
 }
 
-/// Values of an image as whole numbers of 1 / L: in whole numbers of frames without a filter they are.
+/// Converts an image to integer multiples of 1 / L, which is exact for L frames without a filter.
 fn whole(image: &Array2<f64>, frames: f64) -> Vec<i64> {
     image.iter().map(|v| (v * frames).round() as i64).collect()
 }
@@ -328,7 +329,7 @@ fn histograms(points: &Points, e: &Evaluation, [dark, response]: [&Array2<f64>; 
     let as_tool = e.definitions == Definitions::ReferenceTool;
     let (dark_values, dark_scale) = (whole(dark, dark_stack.frames as f64), dark_stack.frames as f64);
     let (bright_values, bright_scale) = if as_tool {
-        // 25 times what its 5 x 5 filter gives, in whole numbers; the sums of equally many frames.
+        // 25 times the result of the tool's 5 x 5 filter, in integers; the sums of equally many frames.
         let difference = (&bright_stack.sum_dn - &dark_stack.sum_dn).mapv(|s| s as f64);
         let filtered = super::filter::HighPass::Box5.apply(&difference).unwrap_or(difference);
         (whole(&filtered, 25.0), 25.0 * bright_stack.frames as f64)
@@ -344,13 +345,13 @@ fn histograms(points: &Points, e: &Evaluation, [dark, response]: [&Array2<f64>; 
         let density = |x: f64| {
             h.width * n / ((std::f64::consts::TAU).sqrt() * std) * (-0.5 * ((x - centre) / std).powi(2)).exp()
         };
-        // Down to half a pixel.
+        // Down to 0.3 pixels per bin.
         between(*first, *last, 200, false).map(|x| [x, density(x), f64::NAN]).filter(|p| p[1] > 0.3).collect()
     };
     let shifted = |points: Vec<[f64; 3]>, by: f64, scale: f64| -> Vec<[f64; 3]> {
         points.into_iter().map(|[x, y, s]| [(x - by) * scale, y, s]).collect()
     };
-    // A count scatters by its root.
+    // A count has the standard deviation of its root.
     let counted = |h: &Histogram| -> Vec<[f64; 3]> {
         h.bins.iter().zip(&h.counts).map(|(x, y)| [*x, *y, y.sqrt()]).collect()
     };
@@ -374,7 +375,7 @@ fn histograms(points: &Points, e: &Evaluation, [dark, response]: [&Array2<f64>; 
         ),
     ] {
         let centre = values.iter().sum::<i64>() as f64 / values.len().max(1) as f64 / scale;
-        // The tool leaves the PRNU's mean in.
+        // The tool does not subtract the PRNU's mean.
         let by = if as_tool && ids[0] == "histogram-prnu" { 0.0 } else { centre };
         let h = histogram(values, scale, e.definitions);
         all.push(Plot {
@@ -403,7 +404,7 @@ fn histograms(points: &Points, e: &Evaluation, [dark, response]: [&Array2<f64>; 
     all
 }
 
-/// Middle, mean, least and greatest line of the images without any filter (section 8.7).
+/// Plots middle, mean, least and greatest line of the images without any filter (section 8.7).
 fn profiles(response: &Array2<f64>, dark: &Array2<f64>) -> Vec<Plot> {
     let mut all = Vec::new();
     for (id, title, image, vertical) in [
@@ -422,7 +423,7 @@ fn profiles(response: &Array2<f64>, dark: &Array2<f64>) -> Vec<Plot> {
         };
         let (greatest, least) = (folded(f64::NEG_INFINITY, f64::max), folded(f64::INFINITY, f64::min));
         let average = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-        // Section 8.7.
+        // Range of section 8.7.
         let range = if id.ends_with("dsnu") {
             (0.9 * average(&least), 1.1 * average(&greatest))
         } else {

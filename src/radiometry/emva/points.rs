@@ -1,4 +1,4 @@
-//! What the frames say: means and variances of pairs, and the stacks of the spatial part.
+//! Measurements from the frames: means and variances of pairs, and the stacks of the spatial part.
 
 use super::{EmvaError, GainByNoise};
 use crate::data_faults::{DataFault, FaultKind, SharedNoise, examined};
@@ -19,9 +19,9 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 pub struct Pair {
     /// Mean, DN.
     pub mean_dn: f64,
-    /// Temporal variance, DN^2 (release 4.0 Linear, eq. 18: the difference of the two means is taken off).
+    /// Temporal variance, DN^2 (release 4.0 Linear, eq. 18: the difference of the two means is subtracted).
     pub var_dn2: f64,
-    /// Mean of the first frame less that of the second, DN.
+    /// Mean of the first frame minus that of the second, DN.
     pub difference_dn: f64,
     /// Variance over the pixels of a single frame, mean of the two, DN^2 (eq. 17): temporal and spatial together.
     pub single_var_dn2: f64,
@@ -36,11 +36,11 @@ pub struct Pair {
 pub struct Temporal {
     /// Exposure, s.
     pub exposure_s: f64,
-    /// Photons per pixel and exposure; in the dataset's unit times s where that is not known.
+    /// Photons per pixel and exposure; if unknown, in the dataset's unit times s.
     pub photons: f64,
-    /// The flats.
+    /// Pair of flats.
     pub flat: Pair,
-    /// The darks.
+    /// Pair of darks.
     pub dark: Pair,
 }
 
@@ -61,18 +61,18 @@ impl Temporal {
 pub struct Dark {
     /// Exposure, s.
     pub exposure_s: f64,
-    /// Its frames.
+    /// Pair of frames.
     pub pair: Pair,
-    /// Whether a flat has this exposure; else it belongs to a run for the dark current.
+    /// True if a flat has this exposure; otherwise the pair belongs to a run for the dark current.
     pub with_flat: bool,
 }
 
-/// A stack of the spatial part.
+/// Stack of frames of the spatial part.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spatial {
     /// Photons per pixel and exposure, as in [`Temporal`]; 0 for darks.
     pub photons: f64,
-    /// Frames L.
+    /// Number L of frames.
     pub frames: u64,
     /// Sum of each pixel's codes, (rows, columns), DN.
     pub sum_dn: Array2<i64>,
@@ -81,45 +81,45 @@ pub struct Spatial {
 }
 
 impl Spatial {
-    /// The mean image, (rows, columns), DN.
+    /// Mean image, (rows, columns), DN.
     pub fn mean_image_dn(&self) -> Array2<f64> {
         let n = self.frames as f64;
         self.sum_dn.mapv(|s| s as f64 / n)
     }
 }
 
-/// Everything that the evaluation needs.
+/// Input of the evaluation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Points {
-    /// In the order of exposure and light.
+    /// Temporal part, in the order of exposure and light.
     pub temporal: Vec<Temporal>,
     /// Every pair of darks, in the order of exposure.
     pub darks: Vec<Dark>,
-    /// The bright stack and the dark one; absent where no set has more than two frames.
+    /// Bright and dark stack; absent if no set has more than two frames.
     pub spatial: Option<Arc<[Spatial; 2]>>,
-    /// Rows and columns.
+    /// Number of rows and columns.
     pub shape: (usize, usize),
     /// Largest code, DN.
     pub full_scale_dn: f64,
-    /// Whether light is in photons per pixel.
+    /// True if light is in photons per pixel.
     pub photons_known: bool,
-    /// What is known of the light.
+    /// Properties of the light.
     pub light: Light,
     /// Step of the converter, DN.
     pub code_step_dn: f64,
-    /// Stack of flats that the spatial part is of.
+    /// Stack of flats used for the spatial part.
     pub bright: Option<Bright>,
-    /// Pixels that are left out, in words.
+    /// Message about excluded pixels.
     pub left_out: Option<String>,
-    /// Single samples that stand far off the same pixel in other frames.
+    /// Number of samples that lie far off the same pixel in other frames.
     pub struck: u64,
     /// Share of a change of level that first frames carry from the set before.
     pub carried_share: f64,
-    /// Noise that neighbours or successive frames share.
+    /// Noise shared by neighbours or successive frames.
     pub(crate) shared_noise: Option<SharedNoise>,
     /// Multiplication of electrons.
     pub(crate) multiplied: Option<ElectronMultiplication>,
-    /// The gain that `radcam noise` gives.
+    /// Gain by `radcam noise`.
     pub noise: Option<GainByNoise>,
     /// Faults of the data.
     pub data_faults: Vec<DataFault>,
@@ -141,20 +141,20 @@ pub struct Bright {
 }
 
 impl Bright {
-    /// Share of saturation.
+    /// Level as a share of saturation.
     pub fn share(&self) -> f64 {
         self.signal_dn / self.saturation_dn
     }
 }
 
-/// Mean and temporal variance of the first two frames of a set: half the variance of the difference of two frames, its mean taken off
-/// (release 4.0 Linear, section 6.6).
+/// Computes mean and temporal variance of the first two frames of a set: half the variance of their
+/// difference, with its mean subtracted (release 4.0 Linear, section 6.6).
 fn pair(a: &[u16], b: &[u16], full_scale: u16) -> Pair {
     let sums = pulp::Arch::new().dispatch(Both { a, b, full_scale });
     let Sums { first, second, products, squares, zeros, full } = sums;
     let n = a.len() as f64;
     let (a, b) = (first as f64 / n, second as f64 / n);
-    // Whole numbers are subtracted before they are rounded.
+    // Integers are subtracted before they are rounded.
     let difference_dn = (first as i64 - second as i64) as f64 / n;
     let difference_square = (squares - 2 * products) as f64 / n;
     Pair {
@@ -167,7 +167,7 @@ fn pair(a: &[u16], b: &[u16], full_scale: u16) -> Pair {
     }
 }
 
-/// Two frames, for whatever vector instructions the machine has.
+/// Two frames, for any vector instructions of the machine.
 struct Both<'a> {
     a: &'a [u16],
     b: &'a [u16],
@@ -195,7 +195,8 @@ impl pulp::NullaryFnOnce for Both<'_> {
         let Self { a, b, full_scale } = self;
         let mut sums = Sums::default();
         for (a, b) in a.chunks(RUN).zip(b.chunks(RUN)) {
-            // Products by their lower and upper halves: every sum stays within 32 bits, so that all lanes are of one width.
+            // Products are split into lower and upper halves: every sum stays within 32 bits, so that all
+            // lanes have one width.
             let [mut s, mut t, mut z, mut f] = [0u32; 4];
             let [mut p_low, mut p_high, mut q_low, mut q_high] = [0u32; 4];
             for (&a, &b) in a.iter().zip(b) {
@@ -222,7 +223,7 @@ impl pulp::NullaryFnOnce for Both<'_> {
     }
 }
 
-/// Frames of a stack that are in memory at once.
+/// Maximum frames of a stack in memory.
 const AT_ONCE: usize = 4;
 
 fn stack(
@@ -239,7 +240,7 @@ fn stack(
     if let Some(moments) = moments {
         moments.reset();
     }
-    // A few frames at a time: memory that does not grow with their number.
+    // A few frames at a time: memory does not grow with their number.
     for rows in set.rows.chunks(AT_ONCE) {
         if stop.load(Ordering::Relaxed) {
             return Err(EmvaError::Interrupted);
@@ -247,7 +248,7 @@ fn stack(
         let frames = buffers.par_iter_mut().zip(rows);
         frames.try_for_each(|(buffer, &r)| read_part(dataset, r, buffer, part))?;
         let codes: Vec<&[u16]> = buffers[..rows.len()].iter().map(Buffer::dn).collect();
-        // Only now: the size that the manifest claims is that of a frame.
+        // Allocated only now: frames were read, so that the size that the manifest claims is theirs.
         let moments = moments.get_or_insert_with(|| Moments::new(shape, camera.bit_depth));
         moments.add(&codes).map_err(|e| EmvaError::Missing(e.to_string()))?;
         step();
@@ -263,7 +264,7 @@ fn stack(
     })
 }
 
-/// Rows and columns that get light.
+/// Lit rows and columns.
 struct Part([std::ops::Range<usize>; 2]);
 
 impl Part {
@@ -285,11 +286,11 @@ fn read_part(
     Ok(())
 }
 
-/// Signal over the noise of a frame from which on pixels without light are told, pixel by pixel.
+/// Minimum signal over the noise of a frame for detecting unlit pixels one by one.
 const MIN_SIGNAL_OVER_NOISE: f64 = 10.0;
 
-/// The part of the frames that gets light, where optically black or overscan columns and rows stand at the edges,
-/// and words for it; nothing where all pixels get light, or too little to tell.
+/// Returns the lit part of the frames, if optically black or overscan columns and rows lie at the edges, and
+/// a message about it; `None` if all pixels are lit, or there is too little light to tell.
 fn lit_part(
     dataset: &Dataset,
     wanted: &Wanted<'_>,
@@ -328,11 +329,11 @@ fn lit_part(
     Ok(Some((Part([rows, columns]), words)))
 }
 
-/// Frames of a stack over those of the longest from which on it may be taken for its level.
+/// Minimum frames of a stack over those of the longest, for a choice by its level.
 const MIN_SHARE_OF_FRAMES: f64 = 0.5;
 
-/// Chooses the stacks of the spatial part: of those with many frames the one whose flats are nearest to half of
-/// saturation, as the standard has it (release 4.0 Linear, section 8), with darks of its exposure.
+/// Chooses the stacks of the spatial part: among those with many frames the one whose flats are nearest to
+/// half of saturation, as in the standard (release 4.0 Linear, section 8), with darks of its exposure.
 fn choose_stacks<'a>(
     stacks: &[[&'a Set; 2]],
     level_dn: &dyn Fn(&Set) -> Option<f64>,
@@ -346,25 +347,25 @@ fn choose_stacks<'a>(
         Some(([flat, dark], Bright { set: flat.number, frames, signal_dn, saturation_dn, of }))
     });
     let off = |b: &Bright| (b.share() - 0.5).abs();
-    // Of equal ones the longest.
+    // Among equals, the longest.
     found.min_by(|(_, a), (_, b)| {
         let alike = (off(a) - off(b)).abs() < 0.02;
         if alike { b.frames.cmp(&a.frames) } else { off(a).total_cmp(&off(b)) }
     })
 }
 
-/// Row means and column means of an image.
+/// Computes row means and column means of an image.
 pub(super) fn line_means(image: &Array2<f64>) -> [Vec<f64>; 2] {
     [1, 0].map(|axis| image.mean_axis(Axis(axis)).unwrap_or_default().to_vec())
 }
 
-/// What sets are to be read for what.
+/// Sets to be read, by purpose.
 struct Wanted<'a> {
     flats: Vec<&'a Set>,
     darks: Vec<&'a Set>,
-    /// The dark of each flat.
+    /// Place of the dark of each flat.
     dark_of: Vec<usize>,
-    /// Bright and dark ones of one exposure.
+    /// Bright and dark stacks of equal exposure.
     stacks: Vec<[&'a Set; 2]>,
 }
 
@@ -378,7 +379,7 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
     let of_kind = |s: &&Set, kind| settings(s).kind == kind;
     let single = |kind| sets.iter().find(|s| settings(s).kind == kind && s.rows.len() < 2);
     let pairs: Vec<&Set> = sets.iter().filter(|s| s.rows.len() == 2).collect();
-    // Campaigns that were not made for the standard have sets of several frames: their first two serve.
+    // Campaigns not made for the standard have sets of several frames: their first two are used.
     let flats_of = |sets: &[&Set]| sets.iter().filter(|s| of_kind(s, Kind::Flat)).count();
     let longer: Vec<&Set> = sets.iter().filter(|s| s.rows.len() > 2).collect();
     let temporal: Vec<&Set> = if flats_of(&pairs) > 0 && flats_of(&pairs) >= flats_of(&longer) {
@@ -402,14 +403,14 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
     let mut darks: Vec<&Set> = temporal.iter().copied().filter(|s| of_kind(s, Kind::Dark)).collect();
     darks.sort_by(|a, b| settings(a).exposure_s.total_cmp(&settings(b).exposure_s));
     let dark = |flat: &&Set| darks.iter().position(|d| same_exposure(settings(d), settings(flat)));
-    // A flat whose darks were left out goes with them.
+    // A flat whose darks were excluded is excluded too.
     if !dataset.data_faults().is_empty() && flats.iter().any(|f| dark(f).is_some()) {
         flats.retain(|f| dark(f).is_some());
     }
     let dark_of = |flat: &&Set| {
         let found = dark(flat);
         found.ok_or_else(|| {
-            // To the nanosecond: a descriptor's exposure in seconds has a last digit of its own.
+            // To the nanosecond: a descriptor's exposure in seconds has a rounding error in its last digit.
             let exposure_s = (settings(flat).exposure_s * 1e9).round() / 1e9;
             let one = sets.iter().find(|s| {
                 of_kind(s, Kind::Dark) && s.rows.len() < 2 && same_exposure(settings(s), settings(flat))
@@ -425,7 +426,7 @@ fn wanted(dataset: &Dataset) -> Result<Wanted<'_>, EmvaError> {
     Ok(Wanted { flats, darks, dark_of, stacks: stacks(dataset, |_| true) })
 }
 
-/// Every stack of flats with a dark stack of its exposure.
+/// Returns every stack of flats with a dark stack of its exposure.
 fn stacks(dataset: &Dataset, wanted: impl Fn(&Set) -> bool) -> Vec<[&Set; 2]> {
     let settings = |s: &Set| dataset.settings(s);
     let long = |kind: Kind| {
@@ -437,11 +438,11 @@ fn stacks(dataset: &Dataset, wanted: impl Fn(&Set) -> bool) -> Vec<[&Set; 2]> {
     long(Kind::Flat).into_iter().filter(|s| wanted(s)).filter_map(|f| Some([f, dark(f)?])).collect()
 }
 
-/// Reads a dataset, both cores at work; `progress` is told (pieces done, pieces).
+/// Reads a dataset on all cores; `progress` receives (pieces done, pieces).
 ///
 /// # Errors
 ///
-/// Which exposure has no dark or no pair, which frame cannot be read, or that it was stopped.
+/// If an exposure has no dark or no pair, a frame cannot be read (both are named), or reading was stopped.
 pub fn of_dataset(
     dataset: &Dataset,
     stop: &AtomicBool,
@@ -456,7 +457,7 @@ pub fn of_dataset(
     // Photons per pixel and second of one unit of illumination.
     let unit = if in_photons { Some(1.0) } else { light.photons_per_px_s() };
     let mut wanted = wanted(dataset)?;
-    // Nonuniformities do not need the light: a stack whose label alone is wrong tells them.
+    // Nonuniformities do not need the light: a stack with nothing but a wrong label is usable.
     let (whole, _) = dataset.timeline();
     let mislabelled = |set: &Set| {
         let mut faults = dataset.data_faults().iter().filter(|f| f.left_out && f.sets.contains(&set.number));
@@ -488,7 +489,7 @@ pub fn of_dataset(
         step();
         Ok(found)
     };
-    // All pairs in a few pieces for each core, each with memory of its own that serves again.
+    // All pairs in a few pieces per core, each with its own reused memory.
     let both: Vec<&Set> = wanted.darks.iter().chain(&wanted.flats).copied().collect();
     let piece = both.len().div_ceil(4 * rayon::current_num_threads()).max(1);
     let read_all = |part: Option<&Part>| {
@@ -522,7 +523,7 @@ pub fn of_dataset(
     let dark_dn = dark_pairs.first().map_or(0.0, |p| p.mean_dn);
     let at_full = f64::from(camera.full_scale_dn()) - dark_dn;
     let saturation_dn = turn_off(&curve).map_or(at_full, |(_, peak)| peak);
-    // Levels of stacks that are pairs are known; of the others the first frame tells it.
+    // Levels of stacks that are pairs are known; for the others the first frame gives the level.
     let level_dn = |set: &Set| -> Option<f64> {
         let place = both.iter().position(|s| s.number == set.number);
         place.map(|i| all[i].mean_dn).or_else(|| {

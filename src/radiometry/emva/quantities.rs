@@ -1,4 +1,4 @@
-//! The quantities, from the points.
+//! Quantities, computed from the points.
 
 use super::general::{General, general};
 use super::lines::{
@@ -25,37 +25,37 @@ use std::collections::BTreeMap;
 /// full scale in 10,000 pixels doubles the variance of a pair.
 const MIN_STRUCK_SHARE: f64 = 1e-4;
 
-/// Least relative difference of two gains that is said, and in standard errors (named choices).
+/// Minimum difference of two gains that is reported, relative, and in standard errors (named choices).
 const MIN_OFF: f64 = 0.01;
 const MIN_SIGMA: f64 = 4.0;
 
-/// A quantity that is only bounded.
+/// Bound that a quantity is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Limit {
-    /// The quantity is no more than the value.
+    /// Upper bound: the quantity is no more than the value.
     AtMost,
-    /// The quantity is no less.
+    /// Lower bound: the quantity is no less than the value.
     AtLeast,
 }
 
-/// The gain that `radcam noise` gives: Section IV of Healey and Kondepudy on all frames.
+/// Gain by `radcam noise`: Section IV of Healey and Kondepudy on all frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct GainByNoise {
-    /// Gain A, which the standard calls K.
+    /// Gain A, called K in the standard.
     pub gain: Quantity,
     /// Read noise.
     pub read_noise: Quantity,
     /// Chi-square of the line.
     #[serde(with = "crate::number::finite")]
     pub chi2: f64,
-    /// Its degrees of freedom.
+    /// Degrees of freedom of chi-square.
     pub dof: usize,
-    /// Chance of a larger chi-square.
+    /// Probability of a larger chi-square.
     #[serde(with = "crate::number::finite")]
     pub q: f64,
-    /// What that says of the line.
+    /// Agreement of the levels with the line.
     pub line: Agreement,
 }
 
@@ -73,7 +73,7 @@ impl From<&NoiseReport> for GainByNoise {
 }
 
 impl GainByNoise {
-    /// Says by how much K is another one, where that is more than chance and matters.
+    /// Returns a note on the difference to K, if it is more than chance and matters.
     fn against(&self, k: &Value) -> Option<String> {
         let off = k.value / self.gain.value - 1.0;
         let std_err = (k.std_err() / k.value).hypot(self.gain.std_err / self.gain.value);
@@ -88,38 +88,39 @@ impl GainByNoise {
     }
 }
 
-/// The evaluation.
+/// Evaluation of a camera by EMVA 1288.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Evaluation {
-    /// Whose definitions hold.
+    /// Source of the definitions.
     pub definitions: Definitions,
-    /// By the reference tool's names; null where a quantity is undefined, and a note says why.
+    /// Quantities by the reference tool's names; null where undefined, with a note on the reason.
     pub quantities: BTreeMap<String, Option<Quantity>>,
-    /// Mean signal at saturation, or the largest there is, DN: gain and linearity are looked at up to shares of it.
+    /// Mean signal at saturation, or the largest signal, DN: gain and linearity use shares of it.
     pub saturation_signal_dn: f64,
     /// Quantities that are bounds.
     pub limits: BTreeMap<String, Limit>,
-    /// Values of the reference tool where its definition gives another one; null where it gives none.
+    /// Values of the reference tool that differ by its definition; null where it gives none.
     pub reference_tool: BTreeMap<String, Option<f64>>,
-    /// The general model of release 4.0, which assumes neither a linear camera nor raw data.
+    /// General model of release 4.0, which assumes neither a linear camera nor raw data.
     pub general: Option<General>,
-    /// The gain by `noise`; absent where it gives none, and from the reference tool's definitions.
+    /// Gain by `noise`; absent if it gives none, and with the reference tool's definitions.
     pub noise: Option<GainByNoise>,
     /// Faults of the data.
     #[serde(default)]
     pub data_faults: Vec<DataFault>,
-    /// What a reader should know.
+    /// Notes for the reader.
     pub notes: Vec<String>,
 }
 
-/// What the standard puts in place of the dark noise then, DN, and the limit of the noise without quantisation, DN (eq. 54).
+/// Dark noise that the standard assumes if quantisation hides it, DN, and the limit of the noise without
+/// quantisation, DN (eq. 54).
 const HIDDEN_DARK_DN: f64 = 0.49;
 const HIDDEN_NOISE_DN: f64 = 0.40;
-/// Exposures that the standard wants for the dark current (section 7.1).
+/// Number of exposures that the standard asks for the dark current (section 7.1).
 const DARK_EXPOSURES: usize = 6;
 
-/// What is put together.
+/// Evaluation under construction.
 struct Sheet {
     inputs: Inputs,
     quantities: BTreeMap<String, Option<Quantity>>,
@@ -153,7 +154,7 @@ impl Sheet {
 ///
 /// # Errors
 ///
-/// Where there are too few points for the fits of the standard.
+/// If there are too few points for the fits of the standard.
 pub fn evaluate(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError> {
     let mut evaluation = by(points, definitions)?;
     if definitions != Definitions::ReferenceTool
@@ -179,7 +180,7 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     let release4 = definitions == Definitions::Release4;
     let mut points = points.clone();
     if definitions == Definitions::Release31 {
-        // The difference of the two means came off in release 4.0 (appendix E.1, 4).
+        // Only release 4.0 subtracts the difference of the two means (appendix E.1, 4).
         let with_difference = |p: &mut super::Pair| p.var_dn2 += 0.5 * p.difference_dn * p.difference_dn;
         for p in &mut points.temporal {
             with_difference(&mut p.flat);
@@ -209,7 +210,7 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
             "{memory} The standard takes frames as independent: K is too low by what they share. `radcam diagnose` says by how much"
         ));
     }
-    // Darks that are cut off at 0 DN say less than their noise, and shift every signal.
+    // Darks that are clipped at 0 DN show less than their noise, and shift every signal.
     let underflow = underflow(&points.darks);
     let clipped = !as_tool && underflow > UNDERFLOW;
     if clipped {
@@ -304,14 +305,14 @@ fn by(points: &Points, definitions: Definitions) -> Result<Evaluation, EmvaError
     })
 }
 
-/// Temporal variance of the darks, DN^2, with what hides it.
+/// Temporal variance of the darks, DN^2.
 struct DarkNoise {
     var_dn2: Value,
-    /// Quantisation hides it: the value is a bound.
+    /// True if quantisation hides the noise: the value is a bound.
     hidden: bool,
 }
 
-/// Step of the converter, DN; the reference tool takes every code for one.
+/// Step of the converter, DN; 1 DN for the reference tool.
 pub(super) fn step_dn(points: &Points, definitions: Definitions) -> f64 {
     if definitions == Definitions::ReferenceTool { 1.0 } else { points.code_step_dn }
 }
@@ -325,9 +326,9 @@ fn dark_noise(
 ) -> DarkNoise {
     let shortest = points.darks.first().map_or(f64::NAN, |d| d.pair.var_dn2);
     let (value, std_err) = match definitions {
-        // The lowest exposure (section 6.6).
+        // Variance at the lowest exposure (section 6.6).
         Definitions::Release4 => (shortest, of_variance(shortest, pixels)),
-        // The offset of the line of the variances against the exposure.
+        // Offset of the line of the variances against the exposure.
         _ => {
             let darks = with_flats(&points.darks);
             match dark_lines(&darks, pixels) {
@@ -365,7 +366,7 @@ fn dark_noise(
     DarkNoise { var_dn2: Value::exact(bound), hidden }
 }
 
-/// Gain, quantum efficiency, dark noise, threshold, saturation, SNR and dynamic range (section 6.6).
+/// Computes gain, quantum efficiency, dark noise, threshold, saturation, SNR and dynamic range (section 6.6).
 fn sensitivity(
     points: &Points,
     definitions: Definitions,
@@ -376,7 +377,7 @@ fn sensitivity(
     at_saturation: &Value,
 ) {
     let as_tool = definitions == Definitions::ReferenceTool;
-    // The exact threshold came with release 4.0 (eq. 26; appendix E.1, 6).
+    // Release 4.0 introduced the exact threshold (eq. 26; appendix E.1, 6).
     let half = if definitions == Definitions::Release4 { 0.25 } else { 0.0 };
     let threshold_e = move |dark_dn2: f64, k: f64| (dark_dn2 / (k * k) + half).sqrt() + 0.5;
     let d = &dark.var_dn2;
@@ -432,7 +433,7 @@ fn linearity(t: &[Temporal], most: f64, definitions: Definitions, pixels: f64, s
     let deviations: Vec<f64> = fit.levels.iter().map(|p| fit.deviation(p)).collect();
     let errors: Vec<f64> = fit.levels.iter().map(|p| 100.0 * signal_std(p, pixels) / p.signal_dn()).collect();
     let n = deviations.len() as f64;
-    // Of the level that has it.
+    // Deviation and error of the level that is chosen.
     let of = |better: &dyn Fn(f64, f64) -> bool| {
         let mut at = 0;
         for (i, d) in deviations.iter().enumerate() {
@@ -443,7 +444,7 @@ fn linearity(t: &[Temporal], most: f64, definitions: Definitions, pixels: f64, s
         (deviations[at], errors[at])
     };
     let (least, greatest) = (of(&|a, b| a < b), of(&|a, b| a > b));
-    // Release 4.0: the mean of the magnitudes (eq. 63).
+    // Release 4.0: mean of the magnitudes (eq. 63).
     let mean = deviations.iter().map(|d| d.abs()).sum::<f64>() / n;
     let mean_std = errors.iter().map(|e| e * e).sum::<f64>().sqrt() / n;
     if definitions != Definitions::ReferenceTool {
@@ -456,7 +457,7 @@ fn linearity(t: &[Temporal], most: f64, definitions: Definitions, pixels: f64, s
     }
 }
 
-/// Dark current from mean and variance (section 7.1).
+/// Computes the dark current from mean and variance (section 7.1).
 fn dark_current(
     darks: &[Dark],
     definitions: Definitions,
@@ -494,7 +495,8 @@ fn dark_current(
     }
     sheet.put("u_I_mean_DN", &by_mean, "DN/s");
     sheet.put("u_I_mean", &Value::of(&[&by_mean, k], |v| v[0] / v[1]), "e/s");
-    // The standard reports a negative one too, with its error: an upper limit (section 7.1). The tool does not.
+    // The standard reports a negative value too, with its error: an upper limit (section 7.1). The tool does
+    // not.
     let by_var = if as_tool && by_var.value < 0.0 { Value::undefined() } else { by_var };
     if as_tool {
         sheet.put("u_I_var_DN", &Value::of(&[&by_var, k], |v| v[0] / v[1]), "DN/s");
@@ -504,19 +506,19 @@ fn dark_current(
     sheet.put("u_I_var", &Value::of(&[&by_var, k], |v| v[0] / (v[1] * v[1])), "e/s");
 }
 
-/// Standard errors below zero from which on a dark current is said to be (a named choice).
+/// Minimum standard errors below zero at which a negative dark current is reported (a named choice).
 const BELOW_ZERO: f64 = 3.0;
 
-/// Shares of saturation at which a stack of flats tells PRNU: half, within a factor of two below and of one and
-/// three quarters above (a named choice: noise and offsets have their part in dimmer ones, clipping in brighter
-/// ones).
+/// Shares of saturation at which a stack of flats gives PRNU: half, within a factor of two below and of one
+/// and three quarters above (a named choice: noise and offsets contribute to dimmer ones, clipping to
+/// brighter ones).
 const HALF_OF_SATURATION: std::ops::RangeInclusive<f64> = 0.25..=0.875;
 
 fn is_tool(definitions: Definitions) -> bool {
     definitions == Definitions::ReferenceTool
 }
 
-/// DSNU and PRNU with their rows, columns and pixels (eq. 66 and 67).
+/// Computes DSNU and PRNU with their rows, columns and pixels (eq. 66 and 67).
 fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &Value, sheet: &mut Sheet) {
     let Some(stacks) = &points.spatial else {
         sheet.note(
@@ -603,11 +605,12 @@ fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &V
     }
 }
 
-/// The standard's check of the photon transfer curve (eq. 51): the mean of the local slopes' deviation from K, of a cubic B-spline.
+/// Computes the standard's check of the photon transfer curve (eq. 51): mean deviation from K of the local
+/// slopes of a cubic B-spline.
 fn local_gains(used: &[Temporal], k: f64, pixels: f64, sheet: &mut Sheet) {
     let points: Vec<(f64, f64)> = used.iter().map(|p| (p.signal_dn(), p.noise_dn2())).collect();
     let end = points.iter().map(|p| p.0).fold(0.0, f64::max);
-    // Of 35 levels below 70 % of saturation six intervals, as the general model has for 50.
+    // Six intervals for 35 levels below 70 % of saturation, as in the general model for 50.
     let deviation_of = |points: &[(f64, f64)]| -> Option<f64> {
         let spline =
             Spline::fit(points, end, (points.len() / 6).clamp(2, 6)).filter(|_| points.len() >= 9)?;
@@ -615,7 +618,8 @@ fn local_gains(used: &[Temporal], k: f64, pixels: f64, sheet: &mut Sheet) {
         Some(100.0 * sum / points.len() as f64)
     };
     let deviation = deviation_of(&points).unwrap_or(f64::NAN);
-    // What the noise of the variances alone would make of a straight line: its mean is taken for the error.
+    // Deviations that the noise of the variances alone gives a straight line; their mean is taken as the
+    // error.
     let by_noise: Vec<f64> = (0..40)
         .filter_map(|draw| {
             let mut rng = PixelRng::new(51, Stream::Effect, draw, 0, 0);

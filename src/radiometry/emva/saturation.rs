@@ -1,19 +1,19 @@
-//! Where the camera saturates.
+//! Saturation of the camera.
 
 use super::points::Temporal;
 use super::value::{Inputs, Value};
 
-/// The exposure of saturation.
+/// Exposure of saturation.
 #[derive(Debug, Clone)]
 pub(super) enum Saturation {
     /// Photons per pixel, and the mean signal there, DN.
     At { photons: Value, signal_dn: f64, note: Option<String> },
-    /// The data do not show it; why, and the largest signal, DN.
+    /// Saturation not shown by the data: the reason, and the largest signal, DN.
     Unknown { why: String, signal_dn: f64 },
 }
 
 impl Saturation {
-    /// Mean signal at saturation, or the largest there is, DN.
+    /// Mean signal at saturation, or the largest signal, DN.
     pub fn signal_dn(&self) -> f64 {
         match self {
             Self::At { signal_dn, .. } | Self::Unknown { signal_dn, .. } => *signal_dn,
@@ -21,15 +21,16 @@ impl Saturation {
     }
 }
 
-/// Share of the samples at the largest code where the standard has saturation: the middle of its 0.1 to 0.2 % (release 4.0 Linear, section 6.6).
+/// Share of the samples at the largest code that defines saturation: the middle of the standard's 0.1 to 0.2
+/// % (release 4.0 Linear, section 6.6).
 pub(super) const SHARE: f64 = 0.0015;
-/// Below this share the variance of a level is not yet cut: a tenth of [`SHARE`] takes 0.05 % off it.
+/// Share below which the variance of a level is not yet clipped: a tenth of [`SHARE`] reduces it by 0.05 %.
 const UNCUT: f64 = 1.5e-4;
-/// Above this share, the mean signal is so far cut that its distance from the limit says little.
+/// Share above which the mean signal is so far clipped that its distance from the limit says little.
 const CUT: f64 = 0.9;
 
-/// Place in the list of the temporal variance's maximum, looked for from the brightest end: a single peak of the noise on the way up is passed
-/// over (release 3.1; `Results1288.index_u_ysat`).
+/// Returns the place of the temporal variance's maximum, searched from the brightest end: a single peak of
+/// the noise on the way up is passed over (release 3.1; `Results1288.index_u_ysat`).
 pub(super) fn peak(var_dn2: &[f64]) -> usize {
     let (mut most, mut at) = (0.0, 0);
     for i in (0..var_dn2.len()).rev() {
@@ -43,7 +44,7 @@ pub(super) fn peak(var_dn2: &[f64]) -> usize {
     at
 }
 
-/// The exposure at which the variance has its maximum: known to the step between exposures.
+/// Takes the exposure at which the variance has its maximum, known to the step between exposures.
 pub(super) fn at_peak(points: &[Temporal], inputs: &mut Inputs) -> Saturation {
     let at = peak(&points.iter().map(|p| p.flat.var_dn2).collect::<Vec<_>>());
     let step = points[at].photons - if at > 0 { points[at - 1].photons } else { 0.0 };
@@ -54,8 +55,9 @@ pub(super) fn at_peak(points: &[Temporal], inputs: &mut Inputs) -> Saturation {
     }
 }
 
-/// The exposure at which [`SHARE`] of the samples have the largest code. Between the exposures of the list it is found by a probit regression:
-/// the samples of a level are spread as their temporal and spatial variance says, and the limit cuts off the share that lies beyond.
+/// Finds the exposure at which [`SHARE`] of the samples have the largest code. Between the exposures it is
+/// interpolated by a probit regression: the samples of a level are spread by their temporal and spatial
+/// variance, and the limit cuts off the share beyond it.
 pub(super) fn by_share(points: &[Temporal], pixels: f64, inputs: &mut Inputs) -> Saturation {
     let mut sorted: Vec<&Temporal> = points.iter().collect();
     sorted.sort_by(|a, b| a.photons.total_cmp(&b.photons));
@@ -71,22 +73,23 @@ pub(super) fn by_share(points: &[Temporal], pixels: f64, inputs: &mut Inputs) ->
         );
         return Saturation::Unknown { why, signal_dn };
     };
-    // Spread of a level's samples over that of the last uncut one: temporal variance grows with the photons, spatial variance with their square.
+    // Spread of a level's samples, from that of the last unclipped one: temporal variance grows with the
+    // photons, spatial variance with their square.
     let temporal = |p: f64| {
         let dark = uncut.dark.var_dn2;
         dark + (uncut.flat.var_dn2 - dark).max(0.0) * p / uncut.photons
     };
     let spatial = (uncut.flat.single_var_dn2 - uncut.flat.var_dn2).max(0.0);
     let spread = |p: f64| (temporal(p) + spatial * (p / uncut.photons).powi(2)).max(1.0 / 12.0).sqrt();
-    // The signal that a linear camera would have, from the last uncut level on.
+    // Signal of a linear camera, extrapolated from the last unclipped level.
     let linear = |p: f64| uncut.signal_dn() * p / uncut.photons;
     let near: Vec<&&Temporal> =
         sorted.iter().filter(|p| p.photons >= uncut.photons && p.flat.full_share < CUT).collect();
     // Photon noise is skewed to the bright side: its third moment is the gain times its variance.
     let gain = (uncut.flat.var_dn2 - uncut.dark.var_dn2).max(0.0) / uncut.signal_dn();
     let skewness = |p: f64| gain * (temporal(p) - uncut.dark.var_dn2).max(0.0) / spread(p).powi(3);
-    // The share beyond a limit that lies w deviations above the mean, to the first order of the skewness (Edgeworth's series; Kendall and Stuart,
-    // The Advanced Theory of Statistics, section 6.18).
+    // Share beyond a limit that lies w deviations above the mean, to first order in the skewness (Edgeworth's
+    // series; Kendall and Stuart, The Advanced Theory of Statistics, section 6.18).
     let beyond = |p: f64, limit: f64, scale: f64| {
         let w = (limit - scale * linear(p)) / spread(p);
         let density = (-0.5 * w * w).exp() / std::f64::consts::TAU.sqrt();
@@ -101,7 +104,8 @@ pub(super) fn by_share(points: &[Temporal], pixels: f64, inputs: &mut Inputs) ->
             let count = samples * p.flat.full_share;
             -(count * share.ln() + (samples - count) * (1.0 - share).ln())
         };
-        // Two levels tell both. Where fewer lie near saturation the scale stays near 1, to the 3 % by which a linear camera may bend there.
+        // Two levels determine both. If fewer lie near saturation, a prior keeps the scale near 1, to the 3 %
+        // by which a linear camera may bend there.
         near.iter().map(of).sum::<f64>() + 0.5 * ((scale - 1.0) / 0.03).powi(2)
     };
     let Some((limit, scale, covariance)) = minimum(&objective, limit_at, spread(uncut.photons)) else {
@@ -116,9 +120,9 @@ pub(super) fn by_share(points: &[Temporal], pixels: f64, inputs: &mut Inputs) ->
             ),
         };
     };
-    // Where the share is reached, by bisection.
+    // Solves for the exposure at which the share is reached, by bisection.
     let reached = |limit: f64, scale: f64| {
-        // From where the limit is five deviations away to where it is met.
+        // Bracket: from six deviations below the limit to the limit.
         let at_limit = limit.max(1.0) / (scale * linear(1.0)).max(1e-300);
         let (mut low, mut high) =
             (at_limit * (1.0 - 6.0 * spread(at_limit) / limit.max(1.0)).max(0.0), at_limit);
@@ -143,12 +147,13 @@ pub(super) fn by_share(points: &[Temporal], pixels: f64, inputs: &mut Inputs) ->
     }
 }
 
-/// No exposure brings enough samples to the largest code: the well is full before, or the light was not enough.
+/// Finds saturation if no exposure brings enough samples to the largest code: the well is full before, or the
+/// light was not enough.
 fn without_full_scale(sorted: &[&Temporal], pixels: f64, inputs: &mut Inputs, signal_dn: f64) -> Saturation {
     let variances: Vec<f64> = sorted.iter().map(|p| p.flat.var_dn2).collect();
     let at = peak(&variances);
     let last = variances.len() - 1;
-    // A fall of five of its standard errors (eq. 19).
+    // Significant fall: five of its standard errors (eq. 19).
     let falls = variances[at] - variances[last] > 5.0 * variances[at] * 2.0 / pixels.sqrt();
     if at == last || !falls {
         let most = sorted.last().map_or(0.0, |p| 100.0 * p.flat.full_share);
@@ -170,11 +175,11 @@ fn without_full_scale(sorted: &[&Temporal], pixels: f64, inputs: &mut Inputs, si
     }
 }
 
-/// The minimum of a function of two unknowns near (`limit`, 1) by Newton's method with numerical derivatives, and the inverse of its
-/// curvature there. `width` is the scale of the first.
+/// Minimises a function of two unknowns near (`limit`, 1) by Newton's method with numerical derivatives;
+/// returns the inverse of its curvature as well. `width` is the scale of the first unknown.
 fn minimum(f: &dyn Fn(f64, f64) -> f64, limit: f64, width: f64) -> Option<(f64, f64, [[f64; 2]; 2])> {
     let (mut x, mut y) = (limit, 1.0);
-    // First the limit alone, over a range in which it must lie: Newton's method wants to begin near.
+    // Scans the limit alone first, over a range in which it must lie: Newton's method needs a start nearby.
     let mut best = f64::INFINITY;
     for k in -60..=120 {
         let at = limit + 0.1 * f64::from(k) * width;

@@ -22,7 +22,7 @@ pub(super) struct Variances {
 }
 
 impl Definitions {
-    /// The filter before nonuniformities.
+    /// Filter before nonuniformities.
     pub(super) fn high_pass(self) -> HighPass {
         match self {
             Self::Release4 => HighPass::Two,
@@ -32,7 +32,8 @@ impl Definitions {
     }
 }
 
-/// The image that nonuniformities are computed from; without the filter where the image is smaller than it.
+/// Returns the image that nonuniformities are computed from; unfiltered if the image is smaller than the
+/// filter.
 pub(super) fn filtered(image: &Array2<f64>, definitions: Definitions) -> (Cow<'_, Array2<f64>>, HighPass) {
     let wanted = definitions.high_pass();
     let found = if wanted == HighPass::None { None } else { wanted.apply(image) };
@@ -41,10 +42,12 @@ pub(super) fn filtered(image: &Array2<f64>, definitions: Definitions) -> (Cow<'_
 
 /// Splits the variance of a mean image (release 4.0 Linear, eq. 35 to 44).
 ///
-/// With A and B the variances of column and row means, T that of all pixels and c the filter's gains for white nonuniformity (lines c1, pixels
-/// c2): A = c1 (s_col^2 + p / M), B = c1 (s_row^2 + p / N), T = c1 (s_row^2 + s_col^2) + c2 p, where p = s_pixel^2 + sigma^2 / L. Without a
-/// filter both gains are 1, and the solution is eq. (44). The standard's text has no gains: it would put DSNU and PRNU of pixels 0.5 % and those of lines
-/// 5 % too low. A, B and the pixels' own part are independent, with the errors of variances of N, M and M N values.
+/// With A and B the variances of column and row means, T that of all pixels and c the filter's gains for
+/// white nonuniformity (lines c1, pixels c2): A = c1 (s_col^2 + p / M), B = c1 (s_row^2 + p / N), T = c1
+/// (s_row^2 + s_col^2) + c2 p, where p = s_pixel^2 + sigma^2 / L. Without a filter both gains are 1, and the
+/// solution is eq. (44). The standard's text has no gains, which would make DSNU and PRNU of pixels 0.5 % and
+/// those of lines 5 % too low. A, B and the pixels' own part are independent, with the errors of variances of
+/// N, M and M N values.
 pub(super) fn variances(
     stack: &Spatial,
     image: &Array2<f64>,
@@ -61,7 +64,7 @@ pub(super) fn variances(
     let [row_means, column_means] = line_means(image);
     // Release 4.0 divides by M N (eq. 35), the releases before by M N - 1.
     let denominator = if definitions == Definitions::Release4 { m * n } else { m * n - 1.0 };
-    // In pieces by both cores, added up in their order: the same bits in every run.
+    // Pieces are computed in parallel and summed in order: the same bits in every run.
     let of_piece = |piece: &[f64]| piece.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
     let image = image.as_standard_layout();
     let pieces: Vec<f64> = image.as_slice().unwrap_or_default().par_chunks(1 << 14).map(of_piece).collect();

@@ -2,14 +2,14 @@
 
 use crate::fit::cholesky::Factor;
 
-/// A regression with cubic B-splines between 0 and a largest abscissa.
+/// Regression with cubic B-splines between 0 and a largest abscissa.
 #[derive(Debug, Clone)]
 pub(super) struct Spline {
     step: f64,
     coefficients: Vec<f64>,
 }
 
-/// The cubic B-spline (eq. 45) and its derivative (eq. 49).
+/// Evaluates the cubic B-spline (eq. 45) and its derivative (eq. 49).
 fn basis(x: f64) -> (f64, f64) {
     let a = x.abs();
     if a < 1.0 {
@@ -22,7 +22,8 @@ fn basis(x: f64) -> (f64, f64) {
 }
 
 impl Spline {
-    /// Least squares without weights (eq. 47), in so many intervals from 0 to `end`. `None` where there are too few points.
+    /// Fits by least squares without weights (eq. 47), in `intervals` intervals from 0 to `end`. `None` for
+    /// too few points.
     pub fn fit(points: &[(f64, f64)], end: f64, intervals: usize) -> Option<Self> {
         let n = intervals + 3;
         let step = end / intervals as f64;
@@ -40,7 +41,7 @@ impl Spline {
         right.iter().all(|c| c.is_finite()).then_some(Self { step, coefficients: right })
     }
 
-    /// The curve and its slope.
+    /// Returns the curve and its slope.
     pub fn at(&self, x: f64) -> (f64, f64) {
         let terms = self.coefficients.iter().enumerate().map(|(p, c)| {
             let (value, slope) = basis(x / self.step - (p as f64 - 1.0));

@@ -1,8 +1,9 @@
-//! A value with its standard error, propagated to first order through functions of it.
+//! Values with standard errors, propagated to first order through functions.
 
 use std::collections::BTreeMap;
 
-/// A value, and its derivatives by independent inputs times their standard errors: what two values share of an input is kept.
+/// Value, and its derivatives by independent inputs times their standard errors: correlations by shared
+/// inputs are kept.
 #[derive(Debug, Clone)]
 pub(super) struct Value {
     pub value: f64,
@@ -10,7 +11,7 @@ pub(super) struct Value {
 }
 
 impl Value {
-    /// A value that has no error, or is undefined (NaN).
+    /// Creates a value without an error, or an undefined one (NaN).
     pub fn exact(value: f64) -> Self {
         Self { value, parts: Vec::new() }
     }
@@ -23,7 +24,7 @@ impl Value {
         self.parts.iter().map(|p| p.1 * p.1).sum::<f64>().sqrt()
     }
 
-    /// A function of some values, its derivatives by central differences in each.
+    /// Computes a function of values, with derivatives by central differences.
     pub fn of(values: &[&Self], f: impl Fn(&[f64]) -> f64) -> Self {
         let at: Vec<f64> = values.iter().map(|v| v.value).collect();
         let mut parts: BTreeMap<usize, f64> = BTreeMap::new();
@@ -42,7 +43,8 @@ impl Value {
         Self { value: f(&at), parts: parts.into_iter().collect() }
     }
 
-    /// With an error that is in proportion to the value and shared with others: `share` is their relative standard error, of either sign.
+    /// Adds an error that is proportional to the value and shared with others: `share` is its relative
+    /// standard error, of either sign.
     pub fn scaled_by(mut self, input: usize, share: f64) -> Self {
         if share != 0.0 {
             self.parts.push((input, share * self.value));
@@ -51,18 +53,18 @@ impl Value {
     }
 }
 
-/// Numbers the independent inputs.
+/// Counter of the independent inputs.
 #[derive(Debug, Default)]
 pub(super) struct Inputs(usize);
 
 impl Inputs {
-    /// The number of a new input.
+    /// Returns the number of a new input.
     pub fn next(&mut self) -> usize {
         self.0 += 1;
         self.0
     }
 
-    /// A new independent input.
+    /// Creates a new independent input.
     pub fn value(&mut self, value: f64, std_err: f64) -> Value {
         Value { value, parts: vec![(self.next(), std_err)] }
     }

@@ -1,8 +1,8 @@
-//! The photon-transfer curve where it is no line: its slope at zero signal is A.
+//! Photon-transfer curve for levels that are not on a line: its slope at zero signal is A.
 //!
-//! What bends the curve grows with a higher power of the signal: charge that repels charge (Astier et al. 2019,
-//! eq. 20, to second order in the signal), a response that bends, a light that flickers in a shaded field, gains
-//! that differ from frame to frame. None of it changes the slope at the dark end.
+//! The curvature grows with a higher power of the signal: charge that repels charge (Astier et al. 2019, eq.
+//! 20, to second order in the signal), a nonlinear response, flicker in a shaded field, gains that differ
+//! from frame to frame. None of these changes the slope at the dark end.
 
 use super::estimators::residual_variance_at;
 use super::{Estimate, Method, Point, Zero};
@@ -11,25 +11,25 @@ use crate::fit::cholesky::Factor;
 use crate::fit::line::goodness;
 use crate::number::Quantity;
 
-/// A polynomial of the level.
+/// Polynomial of the level, fitted to the variance.
 #[derive(Debug, Clone)]
 pub(super) struct Curve {
     /// Slope at zero signal, DN/e, with its variance.
     pub gain: (f64, f64),
     /// Variance at zero signal, DN^2, with its variance.
     pub constant: (f64, f64),
-    /// Covariance of the two.
+    /// Covariance of slope and constant.
     pub covariance: f64,
     /// Sum of squared residuals over their variances.
     pub chi2: f64,
     /// Degrees of freedom.
     pub dof: usize,
-    /// Variance at the highest level over that of the slope alone, less 1.
+    /// Variance at the highest level over that of the straight line with this slope, less 1.
     pub bend: f64,
 }
 
 impl Curve {
-    /// Its values at zero signal, as an estimator of A and sigma_C^2.
+    /// Returns the values at zero signal as an estimate of A and sigma_C^2.
     pub(super) fn estimate(&self, zero: &Zero) -> Estimate {
         let shift = if zero.std_err_dn.is_finite() { self.gain.0 * zero.std_err_dn } else { 0.0 };
         Estimate {
@@ -48,15 +48,15 @@ impl Curve {
     }
 }
 
-/// Lit levels that a curve needs at least.
+/// Minimum number of lit levels for a curve.
 const MIN_LIT: usize = 6;
-/// Orders that are tried.
+/// Polynomial orders that are tried.
 const ORDERS: [usize; 2] = [2, 3];
-/// Mean squared residual over that of the line up to which the curve explains the levels.
+/// Maximum mean squared residual of the curve over that of the line, for the curve to explain the levels.
 const MAX_RATIO: f64 = 0.25;
 
-/// The curve of the lower order that the levels ask for (Schwarz 1978); `None` where none explains far more than
-/// the line, whose sum of squared residuals and degrees of freedom are given.
+/// Fits the curve of the lower order that the levels support (Schwarz 1978); `None` if no curve is far better
+/// than the line, given by its sum of squared residuals and degrees of freedom.
 pub(super) fn fit(points: &[Point], gain: f64, constant: f64, of_line: (f64, usize)) -> Option<Curve> {
     let used: Vec<&Point> = points.iter().filter(|p| p.excluded.is_none()).collect();
     if used.iter().filter(|p| p.kind == Kind::Flat).count() < MIN_LIT {
@@ -68,7 +68,7 @@ pub(super) fn fit(points: &[Point], gain: f64, constant: f64, of_line: (f64, usi
     let mut best: Option<Curve> = None;
     for &order in &ORDERS {
         let Some(curve) = of_order(&used, order, gain, constant) else { continue };
-        // One more term must take off more than chance does, in units of the residuals that are left then.
+        // One more term must reduce chi-square by more than chance, in units of the remaining residuals.
         if best.as_ref().is_none_or(|b| (b.chi2 - curve.chi2) / usual(&curve) > n.ln()) {
             best = Some(curve);
         }
@@ -78,7 +78,7 @@ pub(super) fn fit(points: &[Point], gain: f64, constant: f64, of_line: (f64, usi
     if curve.dof == 0 || own > MAX_RATIO * line || curve.gain.0.is_nan() || curve.gain.0 <= 0.0 {
         return None;
     }
-    // Residuals beyond the errors widen them.
+    // Residuals beyond the errors inflate them.
     let inflation = own.max(1.0);
     for variance in [&mut curve.gain.1, &mut curve.constant.1, &mut curve.covariance] {
         *variance *= inflation;
@@ -94,7 +94,7 @@ fn of_order(used: &[&Point], order: usize, gain: f64, constant: f64) -> Option<C
     }
     let mut values: Vec<f64> = used.iter().map(|p| p.var_dn2.max(1e-12)).collect();
     let (mut c, mut inverse, mut variances) = (vec![0.0; n], Vec::new(), Vec::new());
-    // Weights from the curve, not from the noisy variances.
+    // The weights come from the curve, not from the noisy variances.
     for _ in 0..8 {
         let of = |(p, v): (&&Point, &f64)| residual_variance_at(p, gain, constant, *v);
         variances = used.iter().zip(&values).map(of).collect::<Vec<f64>>();

@@ -5,7 +5,7 @@ use crate::dataset::Kind;
 use crate::fit::line::{Line, fit, goodness};
 use crate::number::Quantity;
 
-/// Variance of a level's variance at the fitted line.
+/// Computes the variance of a level's variance at the fitted line.
 ///
 /// For independent pixels with variances sigma_p^2 and fourth cumulants k_p, the residual mean square over n
 /// frames and M pixels has variance 2 mean(sigma_p^4) / ((n - 1) (M - 1)) + mean(k_p) / (n M) (Kendall and Stuart,
@@ -21,15 +21,15 @@ pub(super) fn variance_of_variance(p: &Point, gain: f64, constant: f64) -> f64 {
     variance.max(spread / ((p.frames - 1.0) * (p.pixels - 1.0))) + p.var_unsure_dn2.powi(2)
 }
 
-/// Variance of a level's distance from the line, s^2 - A mean.
+/// Computes the variance of a level's distance from the line, s^2 - A mean.
 ///
-/// Mean and variance come from the same frames. For Poisson charge their covariance is k3 / (n M) with k3 = A^2 mu, so
-/// that of k4 - 2 A k3 + A^2 sigma^2 only A^2 sigma_C^2 - q^4 / 120 is left.
+/// Mean and variance come from the same frames. For Poisson charge their covariance is k3 / (n M) with k3 =
+/// A^2 mu, so that k4 - 2 A k3 + A^2 sigma^2 reduces to A^2 sigma_C^2 - q^4 / 120.
 pub(super) fn residual_variance(p: &Point, gain: f64, constant: f64) -> f64 {
     residual_variance_at(p, gain, constant, (gain * p.mean_dn.max(0.0) + constant).max(1e-12))
 }
 
-/// The same of a level whose variance is `sigma2`, DN^2.
+/// As `residual_variance`, for a level whose variance is `sigma2`, DN^2.
 pub(super) fn residual_variance_at(p: &Point, gain: f64, constant: f64, sigma2: f64) -> f64 {
     let spread = sigma2 * sigma2 + gain * gain * p.spatial_var_dn2 + p.noise_spread_dn4;
     let normal = 2.0 * spread / ((p.frames - 1.0) * (p.pixels - 1.0));
@@ -37,7 +37,7 @@ pub(super) fn residual_variance_at(p: &Point, gain: f64, constant: f64, sigma2: 
     (normal + rest).max(0.5 * normal) + p.var_unsure_dn2.powi(2) + (gain * p.mean_unsure_dn).powi(2)
 }
 
-/// Eq. (42) with the weights of eq. (40).
+/// Fits eq. (42) with the weights of eq. (40).
 pub(super) fn paper(points: &[Point]) -> Option<Line> {
     let used = points.iter().filter(|p| p.excluded.is_none() && p.kind == Kind::Flat);
     let pairs: Vec<_> = used
@@ -64,8 +64,8 @@ pub(super) fn reweighted(points: &[Point]) -> Option<Line> {
     Some(line)
 }
 
-/// Newton's method on the chi-square likelihood, from the paper's weights, with the levels' effective degrees of
-/// freedom 2 sigma^4 / var(s^2) at `start`.
+/// Maximises the chi-square likelihood by Newton's method, beginning at `start`, with the levels' effective
+/// degrees of freedom 2 sigma^4 / var(s^2) there.
 pub(super) fn likelihood(points: &[Point], start: &Line) -> Option<Line> {
     let used: Vec<(f64, f64, f64)> = points
         .iter()
@@ -126,7 +126,7 @@ pub(super) fn likelihood(points: &[Point], start: &Line) -> Option<Line> {
 }
 
 pub(super) fn estimate_of(method: Method, line: &Line, zero: &Zero) -> Estimate {
-    // An error of the zero moves every mean together, and so the intercept by A times it.
+    // An error of the zero moves all means together, and so the intercept by A times the error.
     let shift = if zero.std_err_dn.is_finite() { line.slope * zero.std_err_dn } else { 0.0 };
     let quantity = |value, variance: f64, unit| Quantity::new(value, variance.sqrt(), unit);
     Estimate {

@@ -1,4 +1,4 @@
-//! Which levels the line cannot be asked to describe.
+//! Excludes levels that the line cannot describe.
 
 use super::Point;
 use super::estimators::{residual_variance, reweighted};
@@ -7,17 +7,17 @@ use crate::fit::line::fit;
 use crate::number::{percent, with_error};
 use crate::statistics::peak::{strays, turn_off};
 
-/// Adjacent levels on one side of the line from which on they are a curve, and no outliers.
+/// Minimum run of adjacent levels on one side of the line that is a curve, and no outliers.
 const CURVE: usize = 3;
 
-/// Standard errors from which on a level stands off the line of the others (a named choice).
+/// Minimum distance of an outlier from the line of the other levels, in standard errors (a named choice).
 const OFF_SIGMAS: f64 = 6.0;
 
-/// Share of the highest level that the variance's peak has at least where wells fill: beyond it the mean
-/// hardly rises (EMVA 1288 release 4, 6.5; a named choice).
+/// Minimum level of the variance's peak at full well, as a share of the highest level: beyond the peak the
+/// mean hardly rises (EMVA 1288 release 4, 6.5; a named choice).
 const LEAST_PEAK: f64 = 0.5;
 
-/// Marks levels whose variance lies far above that of the levels around: one of them would be taken for the
+/// Excludes levels whose variance lies far above that of the levels around and could be mistaken for the
 /// peak.
 pub(super) fn exclude_strays(points: &mut [Point]) {
     let used: Vec<usize> = (0..points.len()).filter(|&i| points[i].excluded.is_none()).collect();
@@ -27,7 +27,7 @@ pub(super) fn exclude_strays(points: &mut [Point]) {
     }
 }
 
-/// Marks levels beyond the variance's peak: there the wells are full, and what varies is not the light.
+/// Excludes levels beyond the variance's peak: the wells are full, and the light does not cause the variance.
 pub(super) fn exclude_past_the_peak(points: &mut [Point]) {
     let error = |p: &Point| (2.0 / ((p.frames - 1.0) * (p.pixels - 1.0))).sqrt() * p.var_dn2;
     let usable = || points.iter().filter(|p| p.excluded.is_none());
@@ -43,7 +43,7 @@ pub(super) fn exclude_past_the_peak(points: &mut [Point]) {
         let noise = (error(p).powi(2) + error(&peak).powi(2)).sqrt();
         p.mean_dn > peak.mean_dn && drop > 5.0 * noise && drop > 0.01 * peak.var_dn2
     };
-    // From the first significant fall on, and what turns before it.
+    // Excludes levels from the first significant fall on, and those that turn before it.
     let first = usable().filter(|p| fallen(p)).map(|p| p.mean_dn).fold(f64::INFINITY, f64::min);
     let limit = turn_off(&levels).filter(|_| first.is_finite()).map_or(first, |t| first.min(t.0));
     for p in points.iter_mut().filter(|p| p.excluded.is_none() && (p.mean_dn >= first || p.mean_dn > limit)) {
@@ -54,7 +54,7 @@ pub(super) fn exclude_past_the_peak(points: &mut [Point]) {
     }
 }
 
-/// Marks single levels that stand off a line on which the others lie; a curve is left as it is. Says which.
+/// Excludes single levels off the line of the others, but no curve. Returns a message.
 pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
     let most = points.iter().filter(|p| p.excluded.is_none()).count() / 5;
     let mut found: Vec<(usize, f64)> = Vec::new();
@@ -65,8 +65,8 @@ pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
             break;
         }
         let Some(line) = reweighted(points) else { break };
-        // Each level against the line of the others: the residual over the square root of its variance, both
-        // freed of the level's own pull h on the line.
+        // Compares each level with the line of the others: residual over the root of its variance, both
+        // corrected for the level's leverage h on the line.
         let z: Vec<f64> = used
             .iter()
             .map(|&i| {
@@ -89,7 +89,7 @@ pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
         points[used[worst]].excluded =
             Some(format!("{:+.0} standard errors off the line of the others", z[worst]));
     }
-    // Levels side by side on one side of the line are its bend.
+    // Adjacent levels on one side of the line are its bend.
     let mut order = before;
     order.sort_by(|&a, &b| points[a].mean_dn.total_cmp(&points[b].mean_dn));
     let side = |i: usize| found.iter().find(|f| f.0 == i).map(|f| f.1 > 0.0);
@@ -106,15 +106,15 @@ pub(super) fn exclude_outliers(points: &mut [Point]) -> Option<String> {
     })
 }
 
-/// Returns true if the dimmest flat is among the levels that stand off, and lies on a line with the other flats:
-/// it is the darks that are off, in black level, gain or noise.
+/// Returns true if the dimmest flat is among the outliers and lies on a line with the other flats: then the
+/// darks are off, in black level, gain or noise.
 fn are_the_darks_off(points: &[Point], found: &[(usize, f64)]) -> bool {
     let is_found = |i: usize| found.iter().any(|f| f.0 == i);
     let flats = || {
         let known = points.iter().enumerate().filter(|(i, p)| p.excluded.is_none() || is_found(*i));
         known.filter(|(_, p)| p.kind == Kind::Flat)
     };
-    // A single dark that stands off as well is an outlier: the others lie on the line.
+    // A single dark that is off as well is an outlier: the others lie on the line.
     if found.iter().any(|f| points[f.0].kind == Kind::Dark) {
         return false;
     }
@@ -132,21 +132,21 @@ fn are_the_darks_off(points: &[Point], found: &[(usize, f64)]) -> bool {
     })
 }
 
-/// Ratio of the gain's variances, without the charge of the darks and with it, from which on the darks decide
-/// (a named choice).
+/// Minimum ratio of the gain's variance without the charge of the darks to that with it, at which the darks
+/// decide the gain (a named choice).
 const DARKS_DECIDE: f64 = 2.0;
 
-/// Unknown share of a flat's variance from which on it is said as the reason (a named choice).
+/// Minimum unknown share of a flat's variance that is stated as the reason (a named choice).
 const UNSURE: f64 = 0.05;
 
-/// Darks with charge, left out where they decide the gain, in words: hot pixels and a moving black level make
-/// a level of a few DN too. The darkest stays.
+/// Excludes darks with charge if they would decide the gain, and returns a message: hot pixels and a moving
+/// black level produce a level of a few DN too. The darkest stays.
 pub(super) fn exclude_dark_charge(points: &mut [Point]) -> Option<String> {
     let line = reweighted(points)?;
     let used = || points.iter().enumerate().filter(|(_, p)| p.excluded.is_none());
     let is_dark = |(_, p): &(usize, &Point)| p.kind == Kind::Dark;
     let (darkest, _) = used().filter(is_dark).min_by(|a, b| a.1.mean_dn.total_cmp(&b.1.mean_dn))?;
-    // Variance of the slope of the line through some of the levels.
+    // Variance of the slope of the line through the selected levels.
     let of = |wanted: &dyn Fn(usize, &Point) -> bool| {
         let chosen = used().filter(|(i, p)| wanted(*i, p));
         let points: Vec<(f64, f64, f64)> = chosen

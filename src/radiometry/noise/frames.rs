@@ -1,4 +1,4 @@
-//! Section IV on the frames of a dataset, and what its darks and pixels say beside the line.
+//! Section IV on the frames of a dataset, with notes on its darks and pixels.
 
 use super::levels::{Measured, ONE_EXPOSURE, TAKEN_OFF, measure, points, zero};
 use super::{NoiseError, NoiseReport, estimate_with};
@@ -9,11 +9,11 @@ use crate::number::{six_digits, with_error};
 use crate::statistics::outliers;
 use std::sync::atomic::AtomicBool;
 
-/// Section IV on a dataset of frames.
+/// Evaluates Section IV on a dataset of frames.
 ///
 /// # Errors
 ///
-/// Where no line can be fitted, which frame cannot be read, or that it was stopped.
+/// If no line can be fitted, a frame (named) cannot be read, or the evaluation was stopped.
 pub fn of_dataset(
     dataset: &Dataset,
     stop: &AtomicBool,
@@ -60,7 +60,7 @@ pub fn of_dataset(
                  (unless exposures are shorter than stated), and its noise is in the constant noise. The read noise is less than {most} e⁻{about}. Take darks at two exposures"
             ));
         } else {
-            // Little charge: how much of the noise is its own is not known better.
+            // With little charge, its share of the noise is not known better.
             let by_charge = report.read_noise_e.value - without.max(0.0).sqrt() / gain;
             report.read_noise_e.std_err = report.read_noise_e.std_err.hypot(by_charge);
         }
@@ -101,14 +101,14 @@ pub fn of_dataset(
     Ok(NoiseReport { data_faults: dataset.data_faults().to_vec(), ..report })
 }
 
-/// Part of the constant noise that dark charge has, from which on it is no read noise (a named choice).
+/// Minimum share of dark charge in the constant noise at which this is no read noise (a named choice).
 const CHARGE_SHARE: f64 = 0.1;
-/// Part of full scale up to which flats lie on a line over the exposure, and their largest scatter about it,
-/// relative (named choices).
+/// Maximum level, as a share of full scale, of flats that lie on a line over the exposure, and their maximum
+/// relative scatter about it (named choices).
 const ON_A_LINE: (f64, f64) = (0.7, 0.005);
 
-/// Level of the darks above that at which a line through the flats of at least three exposures meets no
-/// light, DN; `None` where it is not above that by three of its errors, or the flats are on no line.
+/// Estimates the level of the darks above that of a line through the flats of at least three exposures at no
+/// light, DN; `None` if it is not above by three of its errors, or the flats are not on a line.
 fn charge_of_darks(measured: &Measured, dataset: &Dataset) -> Option<f64> {
     let light = |number: u32| {
         let set = dataset.sets().iter().find(|s| s.number == number)?;
@@ -132,7 +132,7 @@ fn charge_of_darks(measured: &Measured, dataset: &Dataset) -> Option<f64> {
     (charge_dn > 3.0 * scatter * line.var_intercept.sqrt()).then_some(charge_dn)
 }
 
-/// Exposure of the darks and the longest one of the flats, s, where all darks are far longer.
+/// Returns the exposure of the darks and the longest one of the flats, s, if all darks are far longer.
 fn long_darks(measured: &Measured) -> Option<(f64, f64)> {
     let of = |kind: Kind| measured.levels.iter().filter(move |l| l.1 == kind).map(|l| l.2);
     let shortest = of(Kind::Dark).fold(f64::INFINITY, f64::min);
@@ -140,7 +140,7 @@ fn long_darks(measured: &Measured) -> Option<(f64, f64)> {
     (longest > 0.0 && shortest.is_finite() && shortest > LONG_DARKS * longest).then_some((shortest, longest))
 }
 
-/// Share that first frames carry from the set before, in words.
+/// Formats the share that first frames carry from the set before.
 pub(crate) fn memory_in_words(share: f64) -> Option<String> {
     (share > 0.0).then(|| {
         format!(
@@ -151,7 +151,7 @@ pub(crate) fn memory_in_words(share: f64) -> Option<String> {
     })
 }
 
-/// Pixels that were left out, in words.
+/// Formats a note on masked pixels.
 fn masked(measured: &Measured) -> Option<String> {
     let level = &measured.levels.first()?.3;
     let n = level.masked;
@@ -161,7 +161,7 @@ fn masked(measured: &Measured) -> Option<String> {
     })
 }
 
-/// Single samples that were left out, in words.
+/// Formats a note on struck samples.
 fn struck(measured: &Measured) -> Option<String> {
     let hit = measured.levels.iter().filter(|(.., level)| level.struck > 0).count();
     let n: u64 = measured.levels.iter().map(|(.., level)| level.struck).sum();
@@ -169,11 +169,11 @@ fn struck(measured: &Measured) -> Option<String> {
         .then(|| format!("{}; left out: in {hit} of {} sets", outliers::in_words(n), measured.levels.len()))
 }
 
-/// Range of the sensor's temperature from which on it is said, K: dark current doubles in some 7 K (a named
+/// Minimum range of the sensor's temperature that is reported, K: dark current doubles in about 7 K (a named
 /// choice).
 const MIN_TEMPERATURE_RANGE_K: f64 = 1.0;
 
-/// Temperatures that drift, in words.
+/// Formats a note on drifting temperatures.
 fn temperature(dataset: &Dataset) -> Option<String> {
     let rows = dataset.rows().iter().filter(|r| matches!(r.kind, Kind::Dark | Kind::Flat));
     let all: Vec<f64> = rows.filter_map(|r| r.temperature_c).collect();

@@ -1,4 +1,4 @@
-//! The levels: from the frames of a dataset, or the rows of a table, to points of the photon-transfer plot.
+//! Levels: from the frames of a dataset, or the rows of a table, to points of the photon-transfer plot.
 
 use super::NoiseError;
 use crate::dataset::table::Table;
@@ -25,55 +25,55 @@ pub struct Point {
     pub mean_dn: f64,
     /// Temporal variance, DN^2.
     pub var_dn2: f64,
-    /// Frames; 2 for a row of a table.
+    /// Number of frames; 2 for a row of a table.
     pub frames: f64,
-    /// Pixels; NaN where not known.
+    /// Number of pixels; NaN if unknown.
     pub pixels: f64,
     /// Variance of the pixels' true means over the field, DN^2.
     pub spatial_var_dn2: f64,
-    /// Variance over the pixels of their noise variances, DN^4: that of the read noise.
+    /// Variance over the pixels of their read-noise variances, DN^4.
     pub noise_spread_dn4: f64,
     /// Error of the variance beyond that of independent pixels, DN^2.
     pub var_unsure_dn2: f64,
-    /// Error of the variance that all levels have together, DN^2, each with its own size and sign.
+    /// Error of the variance that is common to all levels, DN^2, with its own size and sign at each.
     pub var_common_dn2: f64,
-    /// Standard error of the mean that other levels do not share, DN: a black level that moved.
+    /// Standard error of the mean that other levels do not share, DN: a moving black level.
     pub mean_unsure_dn: f64,
     /// Pairs of the level as (mean above zero, variance).
     pub pairs: Vec<(f64, f64)>,
-    /// Why the level takes no part in the fit.
+    /// Reason for exclusion from the fit.
     pub excluded: Option<String>,
 }
 
-/// The black level at zero exposure.
+/// Black level at zero exposure.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Zero {
-    /// DN.
+    /// Black level, DN.
     #[serde(with = "finite")]
     pub dn: f64,
     /// Standard error, DN.
     #[serde(with = "finite")]
     pub std_err_dn: f64,
-    /// Where it comes from.
+    /// Source of the black level.
     pub source: &'static str,
-    /// Standard deviation of the zero of a single set, DN, where the level of the darks moved; otherwise 0.
+    /// Standard deviation of the zero of a single set, DN, if the level of the darks moved; otherwise 0.
     pub moved_dn: f64,
 }
 
 impl Zero {
-    /// Range over which the zero moved, DN: that of an even distribution with this standard deviation.
+    /// Range over which the zero moved, DN: that of a uniform distribution with this standard deviation.
     pub fn moved_range_dn(&self) -> f64 {
         self.moved_dn * 12f64.sqrt()
     }
 }
 
-/// Pixels that tell nothing of the noise: hot, blind, clipped, jumping, interpolated ones, as `diagnose` has
-/// them.
+/// Pixels that are excluded from the noise: hot, blind, clipped, jumping and interpolated ones, as in
+/// `diagnose`.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Mask {
-    /// Their places, row by row, in rising order.
+    /// Places of the masked pixels, row by row, ascending.
     masked: Vec<usize>,
-    /// Sets of which so many pixels are at full scale that they tell nothing, by their numbers.
+    /// Numbers of the sets with so many pixels at full scale that they are useless.
     saturated: Vec<u32>,
     /// Digest of the mask.
     under: String,
@@ -94,13 +94,13 @@ impl Mask {
         }
     }
 
-    /// Key of a level that was measured under this mask.
+    /// Returns the key of a level measured under this mask.
     pub(crate) fn key(&self, dataset: &Dataset, set: &Set) -> Key {
         Key { under: self.under.clone(), ..Key::first(dataset, set, usize::MAX) }
     }
 }
 
-/// What the frames of a dataset say, before any line is fitted.
+/// Statistics of the frames of a dataset, before any line is fitted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
     /// Sets of darks and flats with at least two frames.
@@ -111,19 +111,19 @@ pub struct Measured {
     pub black_level_dn: Option<f64>,
     /// Step of the converter, DN.
     pub code_step_dn: f64,
-    /// Numbers of sets that are at full scale in too many pixels.
+    /// Numbers of the sets at full scale in too many pixels.
     pub saturated: Vec<u32>,
     /// Share of a change of level that first frames carry from the set before.
     pub carried_share: f64,
-    /// True where light is in the darks.
+    /// True if light is in the darks.
     pub darks_are_lit: bool,
 }
 
-/// Reads every dark and flat. `progress` is told (sets done, sets).
+/// Reads every dark and flat. `progress` receives (sets done, sets).
 ///
 /// # Errors
 ///
-/// Which frame cannot be read, or that it was stopped.
+/// If a frame (named) cannot be read, or the measurement was stopped.
 pub fn measure(
     dataset: &Dataset,
     stop: &AtomicBool,
@@ -159,25 +159,25 @@ pub fn measure(
     })
 }
 
-/// Zero between the one dark level and `black_level_dn`.
+/// Source of a zero between the single dark level and `black_level_dn`.
 pub(super) const ONE_EXPOSURE_BOUNDED: &str = "between the darks of one exposure and black_level_dn";
-/// Zero from darks of one exposure alone.
+/// Source of a zero from darks of one exposure alone.
 pub(super) const ONE_EXPOSURE: &str = "darks of one exposure";
-/// Zero that nobody knows.
+/// Source of an unknown zero.
 pub(super) const NO_ZERO: &str = "none: no usable darks, taken as 0 DN";
-/// Zero as the camera states it.
+/// Source of a zero that the camera states.
 pub(super) const BLACK_LEVEL: &str = "black_level_dn of dataset.toml";
 /// Variance below which the noise is narrower than half a step, in squared steps.
 const COARSE: f64 = 0.25;
 
-/// Share of clipped samples from which a level's variance is off by more than its error.
+/// Share of clipped samples above which the bias of a level's variance exceeds its error.
 const CLIPPED: f64 = 1e-4;
-/// Share of samples at code 0 from which on the variance of a dark or dim flat is off by more than its error:
+/// Share of samples at code 0 above which the bias of the variance of a dark or dim flat exceeds its error:
 /// normal noise that is cut off three standard deviations below its mean, one sample in 740, has 0.25 % less
 /// (the integral of (z^2 - 9) over the tail).
 const CLIPPED_AT_BLACK: f64 = 1.35e-3;
 
-/// Why a single frame takes no part.
+/// Reason for excluding a single frame.
 pub(super) const ONE_FRAME: &str = "one frame: a variance needs two";
 
 fn clipped_because(level: &Level) -> Option<String> {
@@ -199,11 +199,12 @@ fn clipped_because(level: &Level) -> Option<String> {
     }
 }
 
-/// Mean and variance of a set of darks or flats under a mask; `None` of others. `memory` serves the next set.
+/// Measures mean and variance of a set of darks or flats under a mask; `None` for other sets. `memory` is
+/// reused for the next set.
 ///
 /// # Errors
 ///
-/// Which frame cannot be read, or that it was stopped.
+/// If a frame (named) cannot be read, or the measurement was stopped.
 pub(crate) fn level_of(
     dataset: &Dataset,
     set: &Set,
@@ -221,7 +222,7 @@ pub(crate) fn level_of(
     if let Some(level) = memory {
         level.reset();
     }
-    // Eight frames at a time: one trip through memory, and no more of it for a long set.
+    // Eight frames at a time: one pass through memory, bounded for a long set.
     let mut struck = 0;
     for rows in outliers::blocks(&set.rows) {
         if stop.load(Ordering::Relaxed) {
@@ -232,8 +233,8 @@ pub(crate) fn level_of(
         let (frames, hit) = dataset.without_struck(frames);
         struck += hit as u64;
         let slices: Vec<&[u16]> = frames.iter().filter_map(|f| f.as_slice()).collect();
-        // Memory for what the frames are, not for what a damaged manifest says. Their sizes were checked by
-        // it when they were read.
+        // Memory is allocated once frames were read and their size checked, not for the claim of a damaged
+        // manifest.
         let shape = (camera.height, camera.width);
         let level = memory.get_or_insert_with(|| {
             LevelAccumulator::new(shape, camera.bit_depth).without(mask.masked.clone())
@@ -244,19 +245,19 @@ pub(crate) fn level_of(
     Ok(level.map(|level| Level { struck, ..level }))
 }
 
-/// The black level at zero exposure from the darks: their means extrapolated to no exposure.
+/// Estimates the black level at zero exposure from the darks: their means extrapolated to no exposure.
 pub fn zero(measured: &Measured) -> Zero {
     let darks: Vec<_> = measured
         .levels
         .iter()
         .filter(|(_, kind, _, level)| *kind == Kind::Dark && clipped_because(level).is_none())
         .collect();
-    // Scatter of the frames' means, whatever makes it (read noise, row noise, a wandering black level).
+    // Scatter of the frame means from any cause (read noise, row noise, a drifting black level).
     let n = darks.len() as f64;
     let scatter = darks.iter().map(|(.., l)| l.frame_mean_var_dn2).sum::<f64>() / n;
     let square = measured.code_step_dn.powi(2);
     let variance = |l: &Level| {
-        // Codes that do not move hide their mean within the step: q^2/12, and no averaging helps.
+        // A constant code hides its mean within the step: q^2/12, which averaging does not reduce.
         let hidden = if l.var_dn2 < COARSE * square { square / 12.0 } else { 0.0 };
         (scatter / l.frames as f64).max(l.var_dn2 / (l.frames * l.pixels) as f64) + hidden
     };
@@ -265,8 +266,8 @@ pub fn zero(measured: &Measured) -> Zero {
         let shortest = points().min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, shortest_dn, variance)) = shortest.filter(|_| measured.darks_are_lit && line.dof == 0)
         {
-            // Light that is in one of two darks alone makes another line: the zero lies between the shorter dark
-            // and that line, anywhere.
+            // Light in only one of two darks changes the line: the zero lies anywhere between the shorter
+            // dark and that line.
             let range = shortest_dn - line.intercept;
             return Zero {
                 dn: shortest_dn - 0.5 * range,
@@ -275,7 +276,7 @@ pub fn zero(measured: &Measured) -> Zero {
                 moved_dn: 0.0,
             };
         }
-        // Means that scatter more than their frames do (temperature) widen the error.
+        // Scatter of the means beyond that of their frames (temperature) widens the error.
         let inflation = if line.dof > 0 { (line.chi2 / line.dof as f64).max(1.0) } else { 1.0 };
         let moved_dn = moved(points().map(|(t, mean, variance)| (mean - line.at(t), variance)), line.dof);
         let std_err_dn = (line.var_intercept * inflation).sqrt().hypot(moved_dn);
@@ -290,12 +291,12 @@ pub fn zero(measured: &Measured) -> Zero {
         .map(|(_, mean, variance)| (1.0 / variance, mean / variance))
         .reduce(|a, b| (a.0 + b.0, a.1 + b.1))
     {
-        // Part of this dark mean is dark charge, and one exposure does not tell how much. A known black level
-        // bounds it: anything between the two is as likely.
+        // This dark mean contains dark charge, of an amount that one exposure does not tell. A known black
+        // level bounds it: anything between the two is equally likely.
         let mut dark = sum / weight;
         let moved_dn = moved(points().map(|(_, mean, variance)| (mean - dark, variance)), darks.len() - 1);
         if moved_dn > 0.0 {
-            // The frames' own scatter weighs nothing beside that of the sets.
+            // The frames' own scatter is negligible beside that of the sets.
             dark = darks.iter().map(|(.., l)| l.mean_dn).sum::<f64>() / n;
         }
         let own = weight.sqrt().recip().hypot(moved_dn);
@@ -309,7 +310,7 @@ pub fn zero(measured: &Measured) -> Zero {
             None => Zero { dn: dark, std_err_dn: own, source: ONE_EXPOSURE, moved_dn },
         };
     }
-    // A single frame has a mean, and the error that its pixels' scatter leaves.
+    // A single frame has a mean, with the error from its pixels' scatter.
     let single = measured
         .levels
         .iter()
@@ -324,9 +325,9 @@ pub fn zero(measured: &Measured) -> Zero {
     }
 }
 
-/// Standard deviation of the zero of any set where the darks' levels, given as (deviation, variance), scatter
-/// beyond what their frames explain, DN; otherwise 0. A level that moves with time lies anywhere between
-/// those that were seen, and more darks do not average it away: that of an even distribution over the range.
+/// Returns the standard deviation of the zero of any set, DN, if the darks' levels, given as (deviation,
+/// variance), scatter beyond the noise of their frames; otherwise 0. A drifting level lies anywhere between
+/// the levels seen, and more darks do not average it out: uniform distribution over the range.
 fn moved(darks: impl Iterator<Item = (f64, f64)>, dof: usize) -> f64 {
     let (mut chi2, mut least, mut most) = (0.0, f64::INFINITY, f64::NEG_INFINITY);
     for (off, variance) in darks {
@@ -340,12 +341,12 @@ fn moved(darks: impl Iterator<Item = (f64, f64)>, dof: usize) -> f64 {
     range / 12f64.sqrt()
 }
 
-/// True for a flat whose level lies below that of the darks.
+/// Returns true for a flat whose level lies below that of the darks.
 pub(super) fn is_darker(kind: Kind, mean_dn: f64, var_dn2: f64) -> bool {
     kind == Kind::Flat && mean_dn < -var_dn2.max(1.0).sqrt()
 }
 
-/// Why a flat below the darks is none.
+/// Returns the reason for excluding a flat below the darks.
 fn darker(kind: Kind, mean_dn: f64, level: &Level) -> Option<String> {
     is_darker(kind, mean_dn, level.var_dn2).then(|| {
         format!(
@@ -355,7 +356,8 @@ fn darker(kind: Kind, mean_dn: f64, level: &Level) -> Option<String> {
     })
 }
 
-/// Sets counted from the zero, with the reasons for those that are clipped or quantised too coarsely.
+/// Converts sets to points above the zero, with the reasons for excluding clipped or too coarsely quantised
+/// ones.
 pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
     let light = Light::of(measured, zero);
     let step_dn = measured.code_step_dn;
@@ -370,7 +372,7 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
         let full =
             measured.saturated.contains(set).then(|| "2 % of the pixels or more are at full scale".into());
         let mean_dn = level.mean_dn - zero.dn;
-        // What unequal light makes of the field's shape.
+        // Variance from unequal light in a shaded field.
         let by_light = if *kind == Kind::Flat { light.var_dn2(level, mean_dn) } else { 0.0 };
         let by_rounding = by_rounding(level, step_dn);
         let of_pair = |p: &crate::statistics::level::Pair| {
@@ -399,34 +401,35 @@ pub fn points(measured: &Measured, zero: &Zero) -> Vec<Point> {
     points
 }
 
-/// Share of the correction for rounding that is not known: equal pixels have two thirds of it, and pixels
-/// that differ twice as much four thirds.
+/// Unknown share of the correction for rounding: equal pixels have two thirds of it, and pixels that differ
+/// twice as much four thirds.
 const ROUNDING_ERROR: f64 = 0.33;
 
-/// Variance that a level lacks where each frame carries a share of the one before, DN^2.
+/// Computes the variance that a level lacks if each frame carries a share of the one before, DN^2.
 fn by_memory(level: &Level, share: f64) -> f64 {
     level.var_dn2 * (kept_variance(share, level.frames).recip() - 1.0)
 }
 
-/// Variance about the mean of n frames, each of which carries a share f of the one before, over that of
-/// independent frames.
+/// Computes the variance about the mean of n frames, each of which carries a share f of the one before, over
+/// that of independent frames.
 ///
-/// The variance of y_t = (1 - f) x_t + f y_(t-1) is (1 - f) / (1 + f) that of x, frames k apart have the
-/// correlation f^k (Box and Jenkins 1976, 3.2.3), and the variance about the mean of n frames is less by 2 /
-/// (n - 1) times the sum of (1 - k / n) f^k (ibid., 2.1.5: the variance of a mean). Charge that is read with
-/// the next frame only makes nearly the same of both.
+/// The variance of y_t = (1 - f) x_t + f y_(t-1) is (1 - f) / (1 + f) that of x. Frames k apart have the
+/// correlation f^k (Box and Jenkins 1976, 3.2.3). The variance about the mean of n frames is less by the sum
+/// of (1 - k / n) f^k, times 2 / (n - 1) (ibid., 2.1.5: the variance of a mean). Charge that is read with the
+/// next frame only has nearly the same effect on both.
 fn kept_variance(share: f64, frames: u64) -> f64 {
     let n = frames as f64;
     let shared: f64 = (1..frames.min(100)).map(|k| (1.0 - k as f64 / n) * share.powi(k as i32)).sum();
     (1.0 - share) / (1.0 + share) * (1.0 - 2.0 * shared / (n - 1.0).max(1.0))
 }
 /// Variance of the logarithm of the pixels' noise variances: a standard deviation of the noise of 15 %
-/// (log-normal), as the data sheets of CMOS sensors have it. Rounded noise itself does not tell it.
+/// (log-normal), as in the data sheets of CMOS sensors. Rounded noise does not determine it.
 const USUAL_LOG_VAR: f64 = 0.09;
 
-/// Variance of a level beyond that before rounding and q^2/12, DN^2: noise of about half a step has more or
-/// less, by where its level lies between two codes, how far the pixels' levels spread, and how the pixels
-/// differ in noise (log-normal: Johnson, Kotz and Balakrishnan 1994, ch. 14).
+/// Computes the variance of a level beyond that before rounding and q^2/12, DN^2. Noise of about half a step
+/// has more or less, depending on the position of its level between two codes, the spread of the pixels'
+/// levels, and the differences in noise between pixels (log-normal: Johnson, Kotz and Balakrishnan 1994, ch.
+/// 14).
 fn by_rounding(level: &Level, step_dn: f64) -> f64 {
     // All in steps of the converter.
     let square = step_dn * step_dn;
@@ -450,7 +453,7 @@ fn by_rounding(level: &Level, step_dn: f64) -> f64 {
     square * (var - (0.5 * (low + high) + 1.0 / 12.0))
 }
 
-/// Points and weights of the mean over a standard normal number (Gauss and Hermite; Abramowitz and Stegun,
+/// Nodes and weights of the mean over a standard normal number (Gauss and Hermite; Abramowitz and Stegun,
 /// table 25.10).
 const NORMAL_POINTS: [(f64, f64); 5] = [
     (-2.856_970_0, 0.011_257_4),
@@ -460,12 +463,12 @@ const NORMAL_POINTS: [(f64, f64); 5] = [
     (2.856_970_0, 0.011_257_4),
 ];
 
-/// Variance, in squares of the step, above which rounding adds q^2/12 whatever the level: what is missing is
-/// exp(-2 pi^2 0.7) = 1e-6.
+/// Variance, in squared steps, above which rounding adds q^2/12 at any level: the remaining error is exp(-2
+/// pi^2 0.7) = 1e-6.
 const WIDE: f64 = 0.7 + 1.0 / 12.0;
 
-/// Variance over the pixels of the read noise's variances, DN^4, as the darks show it together. A variance of
-/// unequal pixels scatters more than one of as many equal ones.
+/// Estimates the variance over the pixels of the read noise's variances, DN^4, from all darks. The variance
+/// of unequal pixels scatters more than that of as many equal ones.
 fn noise_spread_dn4(measured: &Measured) -> f64 {
     let darks = measured.levels.iter().filter(|(_, kind, _, l)| *kind == Kind::Dark && l.frames > 1);
     let of = darks.map(|(.., l)| l.square_dn4 - l.var_dn2 * l.var_dn2).filter(|v| v.is_finite());
@@ -473,13 +476,13 @@ fn noise_spread_dn4(measured: &Measured) -> f64 {
     if median.is_finite() { median.max(0.0) } else { 0.0 }
 }
 
-/// Share of the correction for unequal light that is not known: the shape of the light may differ from that
-/// of the level.
+/// Unknown share of the correction for unequal light: the shape of the light may differ from that of the
+/// level.
 const LIGHT_SHAPE_ERROR: f64 = 0.1;
 
-/// Unequal light of the frames of a set: in a shaded field a frame of e more light differs from the others by
-/// e times the field, of which the frame's mean takes off the even part only. What is left has the variance
-/// of e times the field's.
+/// Unequal light of the frames of a set. In a shaded field a frame with the relative excess e of light
+/// differs from the others by e times the field, and subtracting the frame's mean removes the even part only.
+/// The remainder has the variance of e times that of the field.
 struct Light {
     /// Variance of the means of dark frames, DN^2: the black level moves the field as a whole.
     of_darks_dn2: f64,
@@ -498,13 +501,13 @@ impl Light {
         Self { of_darks_dn2: of(&|l| l.frame_mean_var_dn2), pattern_dn2: of(&|l| l.spatial_var_dn2) }
     }
 
-    /// Variance that the frames' unequal light leaves in a level, DN^2.
+    /// Variance that unequal light of the frames leaves in a level, DN^2.
     fn var_dn2(&self, level: &Level, mean_dn: f64) -> f64 {
         let by_noise = level.var_dn2 / level.pixels.max(1) as f64;
         self.of_scatter(level, level.frame_mean_var_dn2 - by_noise, mean_dn)
     }
 
-    /// The same of frames whose means have this variance, DN^2.
+    /// As `var_dn2`, for frames whose means have the variance `moved_dn2`, DN^2.
     fn of_scatter(&self, level: &Level, moved_dn2: f64, mean_dn: f64) -> f64 {
         let field = (level.spatial_var_dn2 - self.pattern_dn2).max(0.0);
         let light = (moved_dn2 - self.of_darks_dn2).max(0.0);
@@ -513,9 +516,9 @@ impl Light {
     }
 }
 
-/// Leaves out darks whose variance grows with the exposure and whose level does not: the camera takes the
-/// dark charge off the level, and its shot noise stays. Their place on the line is not known. Flats of as long
-/// exposures have that noise too: as the darks show it, it is taken off.
+/// Excludes darks whose variance grows with the exposure while their level does not: the camera subtracts the
+/// dark charge from the level, and its shot noise stays. Their position on the line is unknown. Flats of such
+/// exposures have that noise too; it is subtracted as measured in the darks.
 fn exclude_clamped_darks(measured: &Measured, points: &mut [Point]) {
     let of = |kind: Kind| {
         let all = measured.levels.iter().enumerate().filter(move |(_, l)| l.1 == kind);
@@ -539,7 +542,7 @@ fn exclude_clamped_darks(measured: &Measured, points: &mut [Point]) {
     };
     let found: Vec<usize> =
         of(Kind::Dark).filter(|d| usable(&d.0) && d.1 > shortest_s && clamped(d.0)).map(|d| d.0).collect();
-    // Noise without a level over the exposure: a line.
+    // The noise without a level is a line over the exposure.
     let charge = |(i, exposure_s): (usize, f64)| {
         let p = &points[i];
         let square = 2.0 / ((p.frames - 1.0) * (p.pixels - 1.0)) * p.var_dn2.powi(2);
@@ -570,20 +573,20 @@ fn own_of(points: &[Point], i: usize, first: usize) -> f64 {
     points[i].mean_dn - points[first].mean_dn
 }
 
-/// Words for a dark whose noise is taken off the flats.
+/// Message for a dark whose noise is subtracted from the flats.
 pub(super) const TAKEN_OFF: &str = ", which is taken off flats of its exposure";
-/// Largest chi-square of a line for each degree of freedom: pixels differ in noise, which the error of a variance
-/// does not know (a named choice).
+/// Maximum chi-square of a line per degree of freedom: pixels differ in noise, which the error of a variance
+/// ignores (a named choice).
 const MAX_CHI2_OF_CHARGE: f64 = 20.0;
-/// Least excess of a dark's variance, over that of the shortest, for a clamp (a named choice: what matters to
-/// a user).
+/// Minimum excess of a dark's variance, over that of the shortest, for a clamp (a named choice: what matters
+/// to a user).
 const MIN_CLAMPED_EXCESS: f64 = 0.1;
-/// Chance of as much scatter of the darks' levels below which the black level moved.
+/// Maximum p-value of the scatter of the darks' levels at which the black level moved.
 const MOVED_P: f64 = 1e-4;
-/// Least range of the darks' levels that is said, DN.
+/// Minimum range of the darks' levels that is reported, DN.
 const MIN_MOVED_DN: f64 = 0.2;
 
-/// Rows of a table as points. Each row counts as one pair of frames.
+/// Converts the rows of a table to points. Each row counts as one pair of frames.
 pub fn table_points(table: &Table) -> Vec<Point> {
     let row = |(i, level): (usize, &crate::dataset::table::Level)| Point {
         set: i as u32,
@@ -607,25 +610,26 @@ pub fn table_points(table: &Table) -> Vec<Point> {
     points
 }
 
-/// What stands in for a pixel count that a table does not give.
+/// Source of the pixel counts of a table's rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Counts {
-    /// Every row has its own.
+    /// Every row has its own count.
     Given,
-    /// The count that the rows' own scatter asks for.
+    /// Count estimated from the rows' own scatter.
     FromScatter(f64),
-    /// Too few rows to see a scatter: weights, but no errors.
+    /// Too few rows to estimate a scatter: weights, but no errors.
     Unknown,
 }
 
-/// Gives rows without a pixel count the one that their own scatter about a smooth curve asks for.
+/// Gives rows without a pixel count the count estimated from their scatter about a smooth curve.
 pub(crate) fn pixels_from_scatter(points: &mut [Point]) -> Counts {
     if points.iter().all(|p| p.pixels.is_finite()) {
         return Counts::Given;
     }
     let mut order: Vec<usize> = (0..points.len()).filter(|&i| points[i].excluded.is_none()).collect();
     order.sort_by(|&a, &b| points[a].mean_dn.total_cmp(&points[b].mean_dn));
-    // Each point against the line through its neighbours, relative, and free of its own weight.
+    // Relative deviation of each point from the line through its neighbours, over the error by all three
+    // points.
     let mut off: Vec<f64> = order
         .windows(3)
         .filter_map(|w| {
@@ -655,8 +659,8 @@ pub(crate) fn pixels_from_scatter(points: &mut [Point]) -> Counts {
 mod tests {
     use super::*;
 
-    /// Drawn sets of 2, 5 and 16 frames, each of which carries 3 or 20 % of the one before: the variance
-    /// within five standard errors of 40,000 sets.
+    /// Simulated sets of 2, 5 and 16 frames, each of which carries 3 or 20 % of the one before: the variance
+    /// agrees within five standard errors of 40,000 sets.
     #[test]
     fn frames_that_carry_the_one_before_have_this_variance() {
         use radcam_sim::rng::{PixelRng, Stream};

@@ -1,8 +1,8 @@
 //! Section IV of the paper: gain A and constant noise sigma_C^2 from the growth of variance with the mean.
 //!
-//! sigma^2 = A mu + sigma_C^2 (eq. 41) holds for mu counted from the black level. The paper's camera has
-//! no black level; others have, and it would enter the intercept as A times the black level. So the zero is
-//! taken from the darks, extrapolated to no exposure ([`Zero`]).
+//! sigma^2 = A mu + sigma_C^2 (eq. 41) holds for mu above the black level. The paper's camera has no black
+//! level; any other one would enter the intercept as A times the black level. So the zero is taken from the
+//! darks, extrapolated to no exposure ([`Zero`]).
 //!
 //! Three estimators:
 //!
@@ -41,11 +41,11 @@ use exclude::{exclude_dark_charge, exclude_outliers, exclude_past_the_peak, excl
 use levels::{BLACK_LEVEL, NO_ZERO, ONE_EXPOSURE, ONE_EXPOSURE_BOUNDED, ONE_FRAME};
 pub(crate) use levels::{Counts, Mask, level_of, pixels_from_scatter};
 
-/// Why there is no answer.
+/// Error of a noise evaluation.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum NoiseError {
-    /// The dataset.
+    /// Error of the dataset.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
     /// Too few levels are left.
@@ -54,19 +54,19 @@ pub enum NoiseError {
         why.first().map(|w| format!(" ({w})")).unwrap_or_default()
     )]
     TooFewLevels {
-        /// Levels left.
+        /// Number of levels left.
         usable: usize,
-        /// Flats among them.
+        /// Number of flats among them.
         lit: usize,
-        /// Levels measured.
+        /// Number of levels measured.
         of: usize,
-        /// Why the others fell out.
+        /// Reasons for excluding the others.
         why: Vec<String>,
     },
-    /// Nothing to look at.
+    /// No darks or flats.
     #[error("the dataset has no frames of darks or flats")]
     NoFrames,
-    /// The user asked for the end.
+    /// Interrupted by the user.
     #[error("interrupted")]
     Interrupted,
 }
@@ -97,12 +97,12 @@ impl From<ExamineError> for NoiseError {
 ///
 /// # Errors
 ///
-/// Where no line can be fitted, with the reason.
+/// If no line can be fitted, with the reason.
 pub fn estimate(points: Vec<Point>, zero: &Zero) -> Result<NoiseReport, NoiseError> {
     estimate_with(points, zero, 1.0 / 12.0)
 }
 
-/// The same where quantisation has another variance than that of whole codes, DN^2.
+/// As `estimate`, for a variance of quantisation other than that of whole codes, DN^2.
 fn estimate_with(
     mut points: Vec<Point>,
     zero: &Zero,
@@ -220,7 +220,7 @@ fn estimate_with(
         .collect();
     let mut read_noise_e = read_noise(&values, quantisation_dn2);
     if zero.source == NO_ZERO || zero.source == TABLE_WITH_BLACK_LEVEL {
-        // The intercept is A times what the black level is off by, and says nothing of the noise.
+        // The intercept is A times the error of the black level, and says nothing of the noise.
         (read_noise_e.value, read_noise_e.std_err) = (f64::NAN, f64::NAN);
     } else if let Some(most) = unresolved(&values, quantisation_dn2) {
         (read_noise_e.value, read_noise_e.std_err) = (f64::NAN, f64::NAN);
@@ -273,7 +273,7 @@ fn estimate_with(
     Ok(report)
 }
 
-/// What the errors that all levels have together do to A and sigma_C^2; `None` where there are none.
+/// Computes the effect on A and sigma_C^2 of errors common to all levels; `None` without such errors.
 fn common_error(points: &[Point], line: &crate::fit::line::Line) -> Option<(f64, f64)> {
     if points.iter().all(|p| p.var_common_dn2 == 0.0) {
         return None;
@@ -283,14 +283,14 @@ fn common_error(points: &[Point], line: &crate::fit::line::Line) -> Option<(f64,
     Some((moved.slope - line.slope, moved.intercept - line.intercept))
 }
 
-/// A bend in words.
+/// Formats a bend.
 fn bent(bend: f64) -> String {
     format!("{:.1} % {}", 100.0 * bend.abs(), if bend < 0.0 { "below" } else { "above" })
 }
 
-/// A of one lit level: the constant noise is known by its bounds only. Below it is that of quantisation,
-/// above it the variance over the pixels of a single dark frame, which has the offsets' pattern too, or all
-/// that the level has. Anything between is as likely.
+/// Estimates A from one lit level, with bounds on the constant noise. The lower bound is that of
+/// quantisation. The upper bound is the variance over the pixels of a single dark frame, which contains the
+/// offsets' pattern too, or all of the level's variance. Anything between is equally likely.
 fn one_level(points: &[Point], zero: &Zero, quantisation_dn2: f64) -> Option<NoiseReport> {
     let mut used = points.iter().filter(|p| p.excluded.is_none());
     let lit = used.next().filter(|p| p.kind == Kind::Flat && used.next().is_none())?;
@@ -329,7 +329,7 @@ fn one_level(points: &[Point], zero: &Zero, quantisation_dn2: f64) -> Option<Noi
     Some(NoiseReport {
         gain_dn_per_e: estimate.gain_dn_per_e.clone(),
         constant_noise_var_dn2: estimate.constant_noise_var_dn2.clone(),
-        // Its own bounds: from none to the largest.
+        // Bounds of the read noise: from none to the largest.
         read_noise_e: Quantity::new(0.5 * read(most), read(most) / 12f64.sqrt(), "e"),
         offset_dn: Quantity::new(zero.dn, zero.std_err_dn, "DN"),
         offset_source: zero.source.into(),
@@ -351,7 +351,7 @@ fn one_level(points: &[Point], zero: &Zero, quantisation_dn2: f64) -> Option<Noi
     })
 }
 
-/// sigma_R = sqrt(sigma_C^2 - q^2/12) / A (eq. 27), its error by first order in both.
+/// Computes sigma_R = sqrt(sigma_C^2 - q^2/12) / A (eq. 27), with its error to first order in both.
 fn read_noise(e: &Estimate, quantisation_dn2: f64) -> Quantity {
     let (a, c) = (&e.gain_dn_per_e, &e.constant_noise_var_dn2);
     let dn2 = c.value - quantisation_dn2;
@@ -361,10 +361,10 @@ fn read_noise(e: &Estimate, quantisation_dn2: f64) -> Quantity {
     Quantity::new(value, variance.sqrt(), "e")
 }
 
-/// Upper limit of the read noise (95 %), e, where the constant noise without quantisation lies within its
-/// error of zero: the root of a value and its error by first order would say nothing.
+/// Returns the upper limit of the read noise (95 %), e, if the constant noise without quantisation is zero
+/// within its error: first-order propagation through the root would be meaningless.
 fn unresolved(e: &Estimate, quantisation_dn2: f64) -> Option<f64> {
-    /// 95 % of a normal distribution lie below.
+    /// 95 % quantile of a standard normal number.
     const ONE_SIDED: f64 = 1.645;
     let (dn2, std) = (e.constant_noise_var_dn2.value - quantisation_dn2, e.constant_noise_var_dn2.std_err);
     let most = (dn2.max(0.0) + ONE_SIDED * std).sqrt() / e.gain_dn_per_e.value;
@@ -399,7 +399,7 @@ mod tests {
     const TABLE: Zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 };
 
     /// Darks of 5 to 25 DN beside flats under a lamp that scatters: the gain is that of the flats, with their
-    /// error; beside sound flats the same darks count.
+    /// error. Beside sound flats the same darks count.
     #[test]
     fn the_charge_of_darks_does_not_decide_the_gain() {
         let dark = |set, mean_dn: f64, more: f64| Point {
@@ -422,7 +422,7 @@ mod tests {
         assert!(!sound.notes.iter().any(|n| n.contains("hardly tells")), "{:?}", sound.notes);
     }
 
-    /// Rows that are one row copied many times weigh as one.
+    /// A row copied many times counts as one.
     #[test]
     fn copied_rows_of_a_table_count_once() {
         let level = |mean_dn: f64, var_dn2: f64| crate::dataset::table::Level {
@@ -467,8 +467,8 @@ mod tests {
         }
     }
 
-    /// A constant noise of thirty DN^2 below zero, and one of zero within its error: no read noise, and the
-    /// reason or a bound.
+    /// A constant noise of thirty DN^2 below zero, and one of zero within its error, give no read noise, but
+    /// the reason or a bound.
     #[test]
     fn no_constant_noise_is_no_read_noise() {
         let of = |constant: f64, pixels: f64| {
@@ -498,13 +498,13 @@ mod tests {
         let report = estimate(points, &TABLE).unwrap();
         let because = |i: usize| report.levels[i].excluded_because.clone().unwrap_or_default();
         assert!(because(5).contains("off the line"), "{}", because(5));
-        // The peak itself turns already.
+        // The peak itself already turns.
         assert!((11..=13).all(|i| because(i).contains("peak")));
         assert_eq!(report.levels.iter().filter(|l| !l.used).count(), 4);
         assert!(report.consistent(), "{}", report.q);
     }
 
-    /// A bend is not cured by throwing levels away.
+    /// Excluding levels does not cure a bend.
     #[test]
     fn a_curve_is_left_as_it_is() {
         let points = (1..=15).map(|i| {
@@ -516,8 +516,8 @@ mod tests {
         assert!(!report.consistent() && report.notes[0].contains("do not lie on a line"));
     }
 
-    /// The bias that the other estimators cure: weights from the noisy variance prefer what came out low.
-    /// With 200 pixels the paper's A is about 1 % low; 400 campaigns tell that to 0.3 %.
+    /// The bias that the other estimators avoid: weights from the noisy variance favour low values. With 200
+    /// pixels the paper's A is about 1 % low; 400 campaigns determine that to 0.3 %.
     #[test]
     fn the_papers_weights_are_biased_and_the_lines_are_not() {
         let n = 400;

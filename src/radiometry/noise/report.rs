@@ -1,4 +1,4 @@
-//! What an estimate says, in the names of the JSON.
+//! Noise report, in the names of the JSON.
 
 use super::levels::NO_ZERO;
 use crate::agreement::Agreement;
@@ -7,7 +7,7 @@ use crate::dataset::Kind;
 use crate::number::{Quantity, finite};
 use serde::{Deserialize, Serialize};
 
-/// How A and sigma_C^2 are estimated.
+/// Estimation method of A and sigma_C^2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
@@ -18,7 +18,7 @@ pub enum Method {
     Reweighted,
     /// Chi-square likelihood.
     Likelihood,
-    /// A polynomial where the levels do not lie on a line: its slope at zero signal.
+    /// Slope at zero signal of a polynomial, for levels that do not lie on a line.
     Curve,
     /// One lit level, and bounds of the constant noise.
     #[serde(rename = "one-level")]
@@ -26,7 +26,7 @@ pub enum Method {
 }
 
 impl Method {
-    /// Its name, as the JSON has it.
+    /// Name in the JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Paper => "paper",
@@ -38,37 +38,37 @@ impl Method {
     }
 }
 
-/// A and sigma_C^2 by one method.
+/// Estimates of A and sigma_C^2 by one method.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// Which method.
+    /// Method of the estimate.
     pub method: Method,
     /// A, DN per electron.
     pub gain_dn_per_e: Quantity,
     /// sigma_C^2, DN^2.
     pub constant_noise_var_dn2: Quantity,
-    /// Covariance of the two.
+    /// Covariance of A and sigma_C^2.
     #[serde(with = "finite")]
     pub covariance: f64,
     /// Chi-square (deviance for the likelihood).
     #[serde(with = "finite")]
     pub chi2: f64,
-    /// Its degrees of freedom.
+    /// Degrees of freedom of chi-square.
     pub dof: usize,
-    /// Chance of a larger chi-square.
+    /// Probability of a larger chi-square.
     #[serde(with = "finite")]
     pub q: f64,
 }
 
 impl Estimate {
-    /// Adds errors of A and sigma_C^2 that go together.
+    /// Adds correlated errors of A and sigma_C^2.
     pub(super) fn widen(&mut self, gain: f64, constant: f64) {
         self.gain_dn_per_e.std_err = self.gain_dn_per_e.std_err.hypot(gain);
         self.constant_noise_var_dn2.std_err = self.constant_noise_var_dn2.std_err.hypot(constant);
         self.covariance += gain * constant;
     }
 
-    /// For data that hold no measure of their own noise.
+    /// Clears the errors, for data that hold no measure of their own noise.
     pub(super) fn forget_errors(&mut self) {
         self.gain_dn_per_e.std_err = f64::NAN;
         self.constant_noise_var_dn2.std_err = f64::NAN;
@@ -76,7 +76,7 @@ impl Estimate {
     }
 }
 
-/// One level as the report shows it.
+/// Level of the report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LevelReport {
     /// Number of the set.
@@ -85,7 +85,7 @@ pub struct LevelReport {
     pub kind: Kind,
     /// Mean above the black level, DN.
     pub mean_dn: f64,
-    /// Temporal variance, DN^2; not a number where the level has none.
+    /// Temporal variance, DN^2; NaN if the level has none.
     #[serde(with = "finite")]
     pub var_dn2: f64,
     /// Standard error of the variance at the fitted line, DN^2.
@@ -94,62 +94,63 @@ pub struct LevelReport {
     /// Distance from the line over its standard error.
     #[serde(with = "finite")]
     pub z: f64,
-    /// Whether it took part in the fit.
+    /// True if the level was used in the fit.
     pub used: bool,
-    /// Why not.
+    /// Reason for exclusion.
     pub excluded_because: Option<String>,
 }
 
 impl LevelReport {
-    /// True for a flat below the darks.
+    /// Returns true for a flat below the darks.
     pub(super) fn is_below_the_darks(&self) -> bool {
         !self.used && super::levels::is_darker(self.kind, self.mean_dn, self.var_dn2)
     }
 }
 
-/// Standard errors below zero at which a variance is negative by no chance.
+/// Minimum number of standard errors below zero at which a negative variance is significant.
 const BEYOND_CHANCE: f64 = 5.0;
 
-/// The whole answer.
+/// Result of a noise evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct NoiseReport {
-    /// A by the reweighted estimator, or by the curve where that is there; of one lit level by the bounds of the
-    /// constant noise.
+    /// A by the reweighted estimator, or by the curve if there is one; for a single lit level, by the bounds
+    /// of the constant noise.
     pub gain_dn_per_e: Quantity,
-    /// sigma_C^2 by the same.
+    /// sigma_C^2 by the same estimator.
     pub constant_noise_var_dn2: Quantity,
-    /// Read noise with quantisation taken off, electrons: sqrt(sigma_C^2 - q^2/12) / A (eq. 27).
+    /// Read noise without quantisation, electrons: sqrt(sigma_C^2 - q^2/12) / A (eq. 27).
     pub read_noise_e: Quantity,
-    /// The black level at zero exposure.
+    /// Black level at zero exposure.
     pub offset_dn: Quantity,
-    /// Where the zero comes from.
+    /// Source of the zero.
     pub offset_source: String,
     /// Chi-square of the reweighted fit.
     #[serde(with = "finite")]
     pub chi2: f64,
-    /// Its degrees of freedom.
+    /// Degrees of freedom of chi-square.
     pub dof: usize,
-    /// Chance of a larger chi-square.
+    /// Probability of a larger chi-square.
     #[serde(with = "finite")]
     pub q: f64,
-    /// Every estimator that the data allow.
+    /// All estimators that the data allow.
     pub estimators: Vec<Estimate>,
-    /// Every level.
+    /// All levels.
     pub levels: Vec<LevelReport>,
-    /// Covariances of neighbouring pixels or successive frames over the variance: by so much, relative, the
-    /// gain is too low (below 0: too high, after sharpening). `None` where pixels and frames are independent.
+    /// Covariances of neighbouring pixels or successive frames over the variance: the relative amount by
+    /// which the gain is too low (below 0: too high, after sharpening). `None` if pixels and frames are
+    /// independent.
     #[serde(default)]
     pub shared_noise_rel: Option<Quantity>,
     /// Faults of the data.
     #[serde(default)]
     pub data_faults: Vec<DataFault>,
-    /// What a reader should know.
+    /// Notes for the reader.
     pub notes: Vec<String>,
 }
 
-/// Share of the noise that pixels or frames have in common from which on the gain is no result (a named choice:
-/// most sensors have some crosstalk).
+/// Maximum share of the noise that pixels or frames have in common for the gain to be a result (a named
+/// choice: most sensors have some crosstalk).
 const MAX_SHARED: f64 = 0.05;
 
 impl NoiseReport {
@@ -163,14 +164,14 @@ impl NoiseReport {
         Agreement::of(if self.q.is_nan() { 1.0 } else { self.q })
     }
 
-    /// True if the constant noise is negative beyond chance.
+    /// Returns true if the constant noise is negative beyond chance.
     pub(super) fn constant_noise_is_negative(&self) -> bool {
         let constant = &self.constant_noise_var_dn2;
         self.offset_source != NO_ZERO && constant.value < -BEYOND_CHANCE * constant.std_err
     }
 
-    /// Returns true if nothing speaks clearly against the line, pixels and frames are independent, flats are
-    /// brighter than darks, and frames are no means of several.
+    /// Returns true if nothing clearly contradicts the line, pixels and frames are independent, flats are
+    /// brighter than darks, and frames are no averages of several.
     pub fn consistent(&self) -> bool {
         self.agreement() != Agreement::Fails
             && self.shared_noise_rel.as_ref().is_none_or(|shared| shared.value.abs() < MAX_SHARED)

@@ -11,11 +11,11 @@ pub(super) const TABLE_ZERO: &str = "table: black level removed";
 /// Source of the zero of tables whose means contain the black level.
 pub(super) const TABLE_WITH_BLACK_LEVEL: &str = "table: where the variances meet zero";
 
-/// Section IV on a table of statistics.
+/// Evaluates Section IV on a table of statistics.
 ///
 /// # Errors
 ///
-/// Where no line can be fitted, with the reason.
+/// If no line can be fitted, with the reason.
 pub fn of_table(table: &Table) -> Result<NoiseReport, NoiseError> {
     let report = estimate(
         table_points(table),
@@ -38,9 +38,9 @@ pub fn of_table(table: &Table) -> Result<NoiseReport, NoiseError> {
     Ok(report)
 }
 
-/// Black level that the means of a table contain, DN: the line of the variances (Healey and Kondepudy 1994,
-/// eq. 41) meets zero there, and no variance is below zero. `None` where the line leaves a constant noise, or
-/// is none.
+/// Estimates the black level that the means of a table contain, DN: the line of the variances (Healey and
+/// Kondepudy 1994, eq. 41) meets zero there, and no variance is below zero. `None` if the line leaves a
+/// constant noise, or the levels are not on a line.
 pub(crate) fn black_level_of(table: &Table) -> Option<Quantity> {
     let zero = Zero { dn: 0.0, std_err_dn: f64::NAN, source: TABLE_ZERO, moved_dn: 0.0 };
     let report = estimate(table_points(table), &zero).ok()?;
@@ -51,7 +51,7 @@ pub(crate) fn black_level_of(table: &Table) -> Option<Quantity> {
         .then(|| Quantity::new(dn, constant.std_err / gain.value, "DN"))
 }
 
-/// That black level in words.
+/// Formats the black level of a table.
 pub(crate) fn black_level_in_words(black_dn: &Quantity) -> String {
     format!(
         "the variances meet zero at a mean of {black_dn}: that much black level is in the means, and is taken off. The read noise is in it \
