@@ -1,8 +1,8 @@
 //! Radiometric camera calibration and noise estimation for machine vision.
 //!
 //! The system of Healey and Kondepudy, "Radiometric CCD Camera Calibration and Noise Estimation", IEEE PAMI
-//! 16(3), 1994: the camera model (in [`radcam_sim`]), noise from pairs of flats ([`noise`], Section IV), on any
-//! camera behind one trait ([`camera`]) and on any dataset folder ([`dataset`]).
+//! 16(3), 1994: the camera model (in [`radcam_sim`]), noise from pairs of flats ([`noise`], Section IV), on
+//! any camera behind one trait ([`camera`]) and on any dataset folder ([`dataset`]).
 //!
 //! `radcam-sim` says what should be seen, this crate says what was seen, and the difference is the product.
 //!
@@ -52,8 +52,8 @@
 //! # }
 //! ```
 //!
-//! Results ([`NoiseReport`](noise::NoiseReport), [`Diagnosis`](diagnosis::Diagnosis), ...) serialise to the JSON
-//! of the program and back.
+//! Results ([`NoiseReport`](noise::NoiseReport), [`Diagnosis`](diagnosis::Diagnosis), ...) serialise to the
+//! JSON of the program and back.
 
 // Rooms in the order of the data: each uses only those before it (tests/it/rooms.rs).
 mod base;
@@ -87,7 +87,7 @@ pub use ndarray;
 pub use radcam_sim as sim;
 pub use toml;
 
-/// What most programs use: `use radcam::prelude::*;`
+/// Names that most programs use: `use radcam::prelude::*;`
 pub mod prelude {
     pub use crate::bench::{self, Illuminator};
     pub use crate::calibrate::file::Calibration;

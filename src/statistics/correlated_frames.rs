@@ -40,8 +40,8 @@ impl CorrelatedFrames {
         each.sum::<f64>() / (self.n() - 1.0)
     }
 
-    /// Relative variance of the sample variance beyond that of independent frames, 2 / (n - 1): 2 tr A^2 / (tr
-    /// A)^2 (quadratic form of normal numbers: Mathai and Provost 1992, section 3.2b).
+    /// Relative variance of the sample variance beyond that of independent frames, 2 / (n - 1): 2 tr A^2 /
+    /// (tr A)^2 (quadratic form of normal numbers: Mathai and Provost 1992, section 3.2b).
     pub fn spread(&self) -> f64 {
         let n = self.n();
         let square = |r: &f64| r * r;

@@ -56,8 +56,8 @@ fn weak_stripes_and_bands_are_found() {
     }
 }
 
-/// 40 sines of amplitude 0.005 to 0.3 and 0.002 to 0.4 cycles a row, of mains lamps or 80 to 1000 Hz. All must
-/// be named first; the number within three standard errors is printed (docs/CONFUSION.md).
+/// 40 sines of amplitude 0.005 to 0.3 and 0.002 to 0.4 cycles a row, of mains lamps or 80 to 1000 Hz. All
+/// must be named first; the number within three standard errors is printed (docs/CONFUSION.md).
 #[test]
 #[ignore = "two minutes; `cargo test --release --test it bands:: -- --ignored --nocapture`"]
 fn bands_of_many_lamps() {

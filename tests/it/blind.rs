@@ -1,7 +1,8 @@
 //! A blind test through the real program: random sensors with effects hidden at a stated strength.
 //!
-//! Strength: the campaign's observables are set to what the model with the effect expects, the paper's model is fitted to them, and
-//! of what it leaves the statistic with the largest chi, over all levels, is the strength in standard errors.
+//! Strength: the campaign's observables are set to what the model with the effect expects, the paper's model
+//! is fitted to them, and of what it leaves the statistic with the largest chi, over all levels, is the
+//! strength in standard errors.
 
 use crate::effects::{campaign, observe, scaled, unit, with};
 use crate::support::radcam;
@@ -48,7 +49,8 @@ fn strength(
     best.map_or((String::new(), 0.0), |(name, squares)| (name.clone(), squares.sqrt()))
 }
 
-/// Values of an effect at a strength on this sensor, and that strength; `None` where no values within its bounds come near it.
+/// Values of an effect at a strength on this sensor, and that strength; `None` where no values within its
+/// bounds come near it.
 fn values_at(model: &Model, id: &str, wanted: f64) -> Option<(Vec<f64>, f64)> {
     let plain = example(id, model)?;
     let dir = tempfile::tempdir().unwrap();
@@ -153,8 +155,9 @@ fn hidden_effects_are_named_first() {
     );
 }
 
-/// Ones that once had no name or a wrong one: a temporal filter of little more than 1/256, a well that only the brightest pixels reach, a step between taps beside a scene; two halves whose noise is below a code, pixels that pile up at a code where
-/// high bits toggle, tables of nearly as many codes as steps.
+/// Ones that once had no name or a wrong one: a temporal filter of little more than 1/256, a well that only
+/// the brightest pixels reach, a step between taps beside a scene; two halves whose noise is below a code,
+/// pixels that pile up at a code where high bits toggle, tables of nearly as many codes as steps.
 #[test]
 fn weak_effects_are_named() {
     let cases: [(&str, u64, &[f64]); 8] = [
@@ -299,7 +302,8 @@ fn the_whole_table() {
     );
 }
 
-/// Standardised residuals of cameras that are what the model says, statistic by statistic: their squares have the mean 1.
+/// Standardised residuals of cameras that are what the model says, statistic by statistic: their squares have
+/// the mean 1.
 #[test]
 #[ignore = "a second for each camera; `cargo test --release --test it blind::residuals -- --ignored --nocapture`"]
 fn residuals_of_clean_cameras_are_of_unit_size() {
@@ -326,6 +330,7 @@ fn residuals_of_clean_cameras_are_of_unit_size() {
     }
     let error = errors.iter().sum::<f64>() / errors.len() as f64;
     println!("error {error:.4}");
-    // Below 1: errors of the kurtosis are stated too large, and shares of codes cannot deviate where all occur (docs/METHODS.md).
+    // Below 1: errors of the kurtosis are stated too large, and shares of codes cannot deviate where all
+    // occur (docs/METHODS.md).
     assert!((0.96..1.01).contains(&error), "{error}");
 }

@@ -51,8 +51,9 @@ fn rms(k: &ndarray::Array2<f32>, truth: &ndarray::Array2<f32>, part: impl Fn(usi
     (sum / n).sqrt()
 }
 
-/// On a simulated sensor with 2 % spots, grain and a 10 % gradient: `joint` reaches 1.1 times the limit (grain and noise over
-/// the root of n1), edges included, its errors are true within 5 %, and `paper` stands beside it.
+/// On a simulated sensor with 2 % spots, grain and a 10 % gradient: `joint` reaches 1.1 times the limit
+/// (grain and noise over the root of n1), edges included, its errors are true within 5 %, and `paper` stands
+/// beside it.
 #[test]
 fn k_reaches_the_limit_of_card_and_noise() {
     let dir = tempfile::tempdir().unwrap();
@@ -108,7 +109,8 @@ fn k_reaches_the_limit_of_card_and_noise() {
     // 10,800 pixels: 0.05 is 3.7 standard errors of the mean of chi-squares.
     assert!((chi2(&joint) - 1.0).abs() < 0.05, "joint: chi-square per pixel {}", chi2(&joint));
     println!("chi-square per pixel: joint {:.3}, paper {:.3}", chi2(&joint), chi2(&paper));
-    // The mean over the edges is that of the middle: no bias there. Five standard errors; the windows' hold K itself.
+    // The mean over the edges is that of the middle: no bias there. Five standard errors; the windows' hold K
+    // itself.
     let bias = |c: &Calibration, pixel: f64| {
         let part = c.k.indexed_iter().zip(truth).filter(|((at, _), _)| edge(at.0, at.1));
         let (sum, n) = part.fold((0.0, 0.0), |(s, n), ((_, k), t)| (s + f64::from(k - t), n + 1.0));
@@ -176,8 +178,8 @@ impl Chart {
     }
 }
 
-/// V_s of every square is the same from 1 to 20 in light, within its stated error, and it is the chart's own; raw spatial
-/// variance is not.
+/// V_s of every square is the same from 1 to 20 in light, within its stated error, and it is the chart's own;
+/// raw spatial variance is not.
 #[test]
 fn scene_variation_does_not_depend_on_the_light() {
     let chart = Chart::new();
@@ -218,8 +220,9 @@ fn scene_variation_does_not_depend_on_the_light() {
     assert!((chi2 - dof).abs() < 4.0 * f64::sqrt(2.0 * dof), "chi-square {chi2} for {dof}");
 }
 
-/// Squares whose V_s differ by five standard errors or more are told apart in 99 of 100 draws, at light levels drawn between
-/// 1 and 20; with the raw variance over the squared mean in the place of V_s most answers are wrong.
+/// Squares whose V_s differ by five standard errors or more are told apart in 99 of 100 draws, at light
+/// levels drawn between 1 and 20; with the raw variance over the squared mean in the place of V_s most
+/// answers are wrong.
 #[test]
 fn surfaces_are_recognised_whatever_the_light() {
     let chart = Chart::new();
@@ -239,7 +242,8 @@ fn surfaces_are_recognised_whatever_the_light() {
     }
     let (mut right, mut right_raw, mut draws) = (0, 0, 0);
     for draw in 0..80u32 {
-        // Equal steps of the logarithm of the light, in mixed order; every draw shows the chart at a new place.
+        // Equal steps of the logarithm of the light, in mixed order; every draw shows the chart at a new
+        // place.
         let illumination = 0.05 * 20f64.powf(f64::from(draw * 37 % 80) / 79.0);
         let seen = chart.seen(2000 + u64::from(draw), illumination, 10 + draw);
         for (square, (v, raw)) in seen.iter().enumerate() {
@@ -264,7 +268,8 @@ fn surfaces_are_recognised_whatever_the_light() {
     assert!(right_raw * 100 < 60 * draws, "the raw variance: {right_raw} of {draws}");
 }
 
-/// A pilot says what a calibration needs; its plan is captured, calibrated, and the verbs of Section VI use the result.
+/// A pilot says what a calibration needs; its plan is captured, calibrated, and the verbs of Section VI use
+/// the result.
 #[test]
 fn from_a_pilot_to_a_named_surface() {
     let dir = tempfile::tempdir().unwrap();
@@ -386,7 +391,8 @@ fn from_a_pilot_to_a_named_surface() {
     assert!(refused(&["scene", &at("one.tiff"), &at("t/frames.csv")]).contains("frames.csv"));
 }
 
-/// A corrected camera is a camera: its frames are the raw ones corrected, and what does not hold is refused and undone.
+/// A corrected camera is a camera: its frames are the raw ones corrected, and what does not hold is refused
+/// and undone.
 #[test]
 fn a_corrected_camera_is_a_camera() {
     let chart = Chart::new();
@@ -451,8 +457,8 @@ fn the_paper_is_reproduced() {
     assert!(fs::read_to_string(page).unwrap().matches("<svg").count() == 4);
 }
 
-/// A colour mosaic: light that its filters pass to 45, 100, 100 and 30 % gives each plane a K of mean 1 that is the sensor's own, frames are corrected
-/// plane by plane, and a defect is replaced by its own colour.
+/// A colour mosaic: light that its filters pass to 45, 100, 100 and 30 % gives each plane a K of mean 1 that
+/// is the sensor's own, frames are corrected plane by plane, and a defect is replaced by its own colour.
 #[test]
 fn a_mosaic_is_calibrated_plane_by_plane() {
     use radcam::dataset::{CameraInfo, Dataset, FrameRow, Kind, Manifest, Writer};
@@ -533,7 +539,8 @@ fn a_mosaic_is_calibrated_plane_by_plane() {
             .sum();
         z += sum / k.len() as f64 / 4.0;
     }
-    // Mean square of 12 288 standardised differences: 1 with an error of 0.013; the biweight's own errors are stated to some per cent.
+    // Mean square of 12 288 standardised differences: 1 with an error of 0.013; the biweight's own errors are
+    // stated to some per cent.
     assert!((z - 1.0).abs() < 0.25, "{z}");
     // A defect in a blue pixel is replaced by blue ones.
     calibration.defects[(11, 21)] = 1;
@@ -579,8 +586,8 @@ fn constant_noise_below_zero_makes_no_calibration() {
     assert_eq!(made.calibration.description.constant_noise_var_dn2, Some(0.0));
 }
 
-/// Six configurations of a card with stripes of 1.2 %: moved, the stripes are no part of K; left where it was,
-/// they are, and it is said. Nothing tells that from an even card.
+/// Six configurations of a card with stripes of 1.2 %: moved, the stripes are no part of K; left where it
+/// was, they are, and it is said. Nothing tells that from an even card.
 #[test]
 fn a_card_that_was_not_moved_is_said() {
     for (moved, seed) in [(7.0, 299), (0.0, 300)] {

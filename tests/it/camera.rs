@@ -3,7 +3,8 @@
 use crate::support::shared;
 use radcam::features::{Kind, Role, known, neutral_value, role, suspicious};
 
-/// Every feature that 29 real cameras offer is switched off, recorded, or harmless for a reason that is written down.
+/// Every feature that 29 real cameras offer is switched off, recorded, or harmless for a reason that is
+/// written down.
 #[test]
 fn every_feature_of_real_cameras_is_handled_or_listed() {
     let Some(path) = shared("genicam-features.csv") else { return };
@@ -32,7 +33,8 @@ fn every_feature_of_real_cameras_is_handled_or_listed() {
         }
     }
     assert_eq!(rows, 797);
-    // Which colours a table serves, what stands in for a defect, presets of exposures: none of them is a switch.
+    // Which colours a table serves, what stands in for a defect, presets of exposures: none of them is a
+    // switch.
     without.sort();
     without.dedup();
     assert_eq!(without, ["DefectCorrectionMode", "ExposureMode", "LUTMode"]);

@@ -256,9 +256,9 @@ fn configurations(dataset: &str) {
 /// Light at a row and a column.
 type Shape<'a> = &'a dyn Fn(usize, usize) -> f64;
 
-/// Case 19: an image circle smaller than the sensor, optically black columns, and a black border. They are blind,
-/// K of the rest has its 1 %, and statistics of whole rows and columns are those of the lit part: nothing is
-/// missing.
+/// Case 19: an image circle smaller than the sensor, optically black columns, and a black border. They are
+/// blind, K of the rest has its 1 %, and statistics of whole rows and columns are those of the lit part:
+/// nothing is missing.
 #[test]
 fn pixels_without_light_are_blind_and_the_rest_is_measured() {
     let circle = |y: usize, x: usize| {
@@ -325,8 +325,8 @@ fn a_lens_that_falls_off_steeply_is_calibrated() {
     }
 }
 
-/// Rms of K against the truth at well lit pixels, each over its mean within nine pixels: a fall that no surface
-/// follows stays in K.
+/// Rms of K against the truth at well lit pixels, each over its mean within nine pixels: a fall that no
+/// surface follows stays in K.
 fn fine_off(cal: &Calibration, truth: &Array2<f64>, lit: &dyn Fn((usize, usize)) -> bool) -> f64 {
     let ratio = Zip::from(&cal.k).and(truth).map_collect(|k, t| f64::from(*k) / t);
     let used = |at: (usize, usize)| lit(at) && cal.defects[at] == 0;
@@ -422,8 +422,8 @@ fn hot_pixels_and_glints_are_masked_as_diagnose_masks_them() {
     assert_eq!(cal.description.n2, 32);
 }
 
-/// Case 14: a lamp that flickers by 2 % in a field that falls to a fifth in the corners. The gain is right within
-/// its error.
+/// Case 14: a lamp that flickers by 2 % in a field that falls to a fifth in the corners. The gain is right
+/// within its error.
 #[test]
 fn unequal_light_in_a_shaded_field_leaves_the_gain() {
     for (seed, fall) in [(1, 0.4), (2, 0.8), (3, 0.8)] {
@@ -571,8 +571,8 @@ fn a_k_that_makes_frames_noisier_is_refused() {
     assert!(said.contains("standard deviation 0.003"), "{said}");
 }
 
-/// The simulator draws dead pixels, a black reference and an image circle; every verb that reads a calibration
-/// takes the file.
+/// The simulator draws dead pixels, a black reference and an image circle; every verb that reads a
+/// calibration takes the file.
 #[test]
 fn simulated_dead_and_blind_pixels_go_through_every_verb() {
     let dir = tempfile::tempdir().unwrap();
@@ -631,8 +631,8 @@ fn measured_cameras_have_their_gain() {
     assert!(said["data_faults"].to_string().contains("unequal-light"), "{}", said["data_faults"]);
 }
 
-/// Darks of 8 bits whose noise is about half a step: rounding gives them less or more than q^2/12, by where the
-/// black level lies between two codes.
+/// Darks of 8 bits whose noise is about half a step: rounding gives them less or more than q^2/12, by where
+/// the black level lies between two codes.
 #[test]
 fn quiet_darks_of_eight_bits_do_not_tilt_the_line() {
     let (mut sum, mut square, mut n) = (0.0, 0.0, 0.0);

@@ -27,7 +27,8 @@ const SETS: [(&str, u32, f64); 7] = [
 ];
 const FRAMES: u32 = 6;
 
-/// A converter: bits, gain (DN/e), read noise (e), black level (DN), charge of the brightest flat over 0.9 (e).
+/// A converter: bits, gain (DN/e), read noise (e), black level (DN), charge of the brightest flat over 0.9
+/// (e).
 #[derive(Clone, Copy)]
 pub struct Camera {
     pub bits: u8,
@@ -152,8 +153,8 @@ fn close(found: f64, truth: f64, share: f64) -> bool {
 
 type Stretch = fn(u32) -> u32;
 
-/// Eight to fourteen bits in sixteen, however they were stretched: the codes of the converter come back, and the
-/// read noise holds no quantisation of another step.
+/// Eight to fourteen bits in sixteen, however they were stretched: the codes of the converter come back, and
+/// the read noise holds no quantisation of another step.
 #[test]
 fn stretched_codes_are_those_of_the_converter() {
     let of =
@@ -503,7 +504,8 @@ fn npy(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Arrays of any type and byte order; where the frames lie along another axis than the first, it is asked for.
+/// Arrays of any type and byte order; where the frames lie along another axis than the first, it is asked
+/// for.
 #[test]
 fn arrays_of_any_order_are_read() {
     let stack = |share: f64, from: u32| {

@@ -92,8 +92,8 @@ fn light_in_darks_and_shifted_flats_are_named() {
     assert!(text.contains("1 rows and 0 columns off against the other flats"), "{text}");
 }
 
-/// A cap that lets in 0.2 and 0.4 % of the flats' light: 6 and 12 DN in the longest darks. It is named with its
-/// share within four standard errors, and no verb has a dark current; without it there is none of this.
+/// A cap that lets in 0.2 and 0.4 % of the flats' light: 6 and 12 DN in the longest darks. It is named with
+/// its share within four standard errors, and no verb has a dark current; without it there is none of this.
 #[test]
 fn a_small_leak_is_no_dark_current() {
     let folder = tempfile::tempdir().unwrap();
@@ -207,8 +207,8 @@ fn exposures_are_exchanged(seed: u32, charge_dn: u16, hot_dn: u16) {
     assert!(sets.contains(&shortest.into()) && sets.contains(&longest.into()), "{faults:?}");
 }
 
-/// A digital gain of 1.5 in the longer flats makes their pattern grow by more than that of the darks: more light
-/// than these have is no leak.
+/// A digital gain of 1.5 in the longer flats makes their pattern grow by more than that of the darks: more
+/// light than these have is no leak.
 #[test]
 fn a_gain_of_the_longer_flats_is_no_leak() {
     let plan = tempfile::tempdir().unwrap();

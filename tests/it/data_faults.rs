@@ -148,8 +148,8 @@ fn told(plan: &str, slip: Slip, seed: u32) {
     }
 }
 
-/// A time stamp of eight digits in the upper rows of every frame, white on what is there, or on black: its rows
-/// are left out, gain and verdict are those of the camera, and no correction is made of the rest.
+/// A time stamp of eight digits in the upper rows of every frame, white on what is there, or on black: its
+/// rows are left out, gain and verdict are those of the camera, and no correction is made of the rest.
 #[test]
 fn rows_with_text_are_left_out() {
     for (plan, on_black, seed) in [("standard", true, 359), ("emva1288", false, 360)] {
@@ -188,8 +188,8 @@ fn rows_with_text_are_left_out() {
     }
 }
 
-/// Two flats with a tenth less light in a corner are named and left out; a curve of the response under a shaded
-/// field is no other field.
+/// Two flats with a tenth less light in a corner are named and left out; a curve of the response under a
+/// shaded field is no other field.
 #[test]
 fn another_field_of_light_is_named() {
     let campaign = Campaign::new("cmos12", "standard", 352);
@@ -234,8 +234,8 @@ fn has_another_gain(faults: &[serde_json::Value], ratio: f64) {
     assert!((named - ratio).abs() < 3.0 * error && error < 0.1 * ratio, "{ratio}: {text}");
 }
 
-/// Another gain of single flats here and there: these are named, with the ratio within three stated errors, and
-/// the gain is that of the others.
+/// Another gain of single flats here and there: these are named, with the ratio within three stated errors,
+/// and the gain is that of the others.
 #[test]
 fn another_gain_of_flats_here_and_there_is_named() {
     for (plan, seed, ratio) in [("standard", 341, 1.1), ("standard", 342, 1.5), ("emva1288", 343, 1.2)] {
@@ -355,8 +355,8 @@ fn a_wrong_label_beside_image_lag_is_named() {
     assert!((value - 0.38).abs() < 3.0 * error && error < 0.5 * value, "{value} +- {error}");
 }
 
-/// A strobe that misses the first frame of every flat; names that exchange all darks and flats; light on one dark
-/// frame, which is left out and tells nothing of the others.
+/// A strobe that misses the first frame of every flat; names that exchange all darks and flats; light on one
+/// dark frame, which is left out and tells nothing of the others.
 #[test]
 fn dark_first_frames_and_exchanged_kinds_are_named() {
     let campaign = Campaign::new("cmos12", "standard", 76);

@@ -183,7 +183,8 @@ impl Camera for Damaging {
     }
 }
 
-/// The frame after a change of level holds what is carried over: where it is lost, the level before is exposed once more.
+/// The frame after a change of level holds what is carried over: where it is lost, the level before is
+/// exposed once more.
 #[test]
 fn a_set_whose_first_frame_is_lost_is_begun_again() {
     let mut model = small("cmos12", 64, 48);
@@ -196,7 +197,8 @@ fn a_set_whose_first_frame_is_lost_is_begun_again() {
     let sets = "[[set]]\nkind = \"flat\"\nframes = 4\nexposure_s = 0.004\nillumination = 1.0\n\
                 [[set]]\nkind = \"dark\"\nframes = 4\nexposure_s = 0.004\n";
     let plan = Plan::from_toml(&text(sets)).unwrap();
-    // Nothing damaged; the first frame of the darks; and all beginnings of it, which is taken as it comes at last.
+    // Nothing damaged; the first frame of the darks; and all beginnings of it, which is taken as it comes at
+    // last.
     let first_dark = |damaged: &[usize]| {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path().join("c");

@@ -22,10 +22,12 @@ fn commands(name: &str) -> Vec<String> {
 /// Seconds that a command may take on a busy machine before it is ended: it hangs.
 const LIMIT_S: &str = "600";
 
-/// Runs a line of a document in this folder. What says that Ctrl-C ends it is interrupted once it has worked for a while.
+/// Runs a line of a document in this folder. What says that Ctrl-C ends it is interrupted once it has worked
+/// for a while.
 fn run(line: &str, root: &Path) -> Output {
     let errors = root.join("stderr.txt");
-    // In the foreground it hands an interrupt on once; otherwise to its group as well, and a second one ends radcam at once.
+    // In the foreground it hands an interrupt on once; otherwise to its group as well, and a second one ends
+    // radcam at once.
     let shell = line.replacen("radcam", &format!("exec timeout --foreground {LIMIT_S} \"$RADCAM\""), 1);
     let mut child = Command::new("sh")
         .args(["-c", &shell])
@@ -50,7 +52,8 @@ fn run(line: &str, root: &Path) -> Output {
     out
 }
 
-/// README's commands in the order of README, each as a reader types it. Only the camera is another: a simulated one of few pixels, with image lag.
+/// README's commands in the order of README, each as a reader types it. Only the camera is another: a
+/// simulated one of few pixels, with image lag.
 #[test]
 fn the_commands_of_the_readme_run() {
     let dir = tempfile::tempdir().unwrap();

@@ -139,8 +139,8 @@ fn pixels_that_jump_are_told_from_noisy_ones() {
     assert!(d.consistent, "{:#?}", d.missing);
 }
 
-/// Mean of the last two frames, as firmware averages: the gain is that of single frames. A running average of as
-/// much memory means another gain by tens of per cent.
+/// Mean of the last two frames, as firmware averages: the gain is that of single frames. A running average of
+/// as much memory means another gain by tens of per cent.
 #[test]
 fn a_mean_of_the_last_frames_is_named() {
     let model = unit(332);
@@ -151,8 +151,8 @@ fn a_mean_of_the_last_frames_is_named() {
     assert!(d.missing[1..].iter().all(|m| m.share < 1e-6), "{:#?}", d.missing);
 }
 
-/// Ripple of a supply where all columns of a row are converted at once: the same in a row, a sine down them, of
-/// another phase in each frame. Before, it was row noise and something unknown.
+/// Ripple of a supply where all columns of a row are converted at once: the same in a row, a sine down them,
+/// of another phase in each frame. Before, it was row noise and something unknown.
 #[test]
 fn stripes_of_rows_in_the_dark_are_interference() {
     let model = unit(334);
@@ -164,8 +164,8 @@ fn stripes_of_rows_in_the_dark_are_interference() {
     assert!(d.missing[1..].iter().all(|m| m.share < 0.01), "{:#?}", d.missing);
 }
 
-/// Daylight that fades by the same share each second, to a half over the flats. Before, it was flicker of a size
-/// that nothing determines.
+/// Daylight that fades by the same share each second, to a half over the flats. Before, it was flicker of a
+/// size that nothing determines.
 #[test]
 fn light_that_fades_is_a_drift() {
     let model = unit(335);
@@ -176,8 +176,8 @@ fn light_that_fades_is_a_drift() {
     assert!(d.missing[1..].iter().all(|m| m.share < 0.01), "{:#?}", d.missing);
 }
 
-/// Lag in sets of two frames, exposures in any order, and a lamp that warms up: each frame's deviation is that of
-/// the level before, and no flicker, though a flicker excuses it.
+/// Lag in sets of two frames, exposures in any order, and a lamp that warms up: each frame's deviation is
+/// that of the level before, and no flicker, though a flicker excuses it.
 #[test]
 fn lag_in_sets_of_two_frames_is_no_flicker() {
     let exposures_ms = [8.0, 19.0, 14.0, 2.0, 19.0, 11.0, 17.0, 6.0, 4.0, 12.0, 9.0, 20.0, 16.0];

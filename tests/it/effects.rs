@@ -355,7 +355,8 @@ fn a_filter_of_whole_codes_is_named_after_bright_frames() {
     named(32, 0.0344);
 }
 
-/// Exposures in whole steps are named; the kind is right, or said as one of two that fit alike, and the step lies within three standard errors.
+/// Exposures in whole steps are named; the kind is right, or said as one of two that fit alike, and the step
+/// lies within three standard errors.
 #[test]
 fn whole_steps_of_the_exposure_are_named() {
     for (shape, step_s, words, seed) in [

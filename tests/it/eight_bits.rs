@@ -75,7 +75,8 @@ fn two_codes_of_a_level_are_no_telegraph_noise() {
 }
 
 /// Darks of many pairs with 0.37 codes of noise: rounding does to all their variances the same, and to the
-/// covariances of lines what chance does: the mean square of their residuals is 1 within four standard errors.
+/// covariances of lines what chance does: the mean square of their residuals is 1 within four standard
+/// errors.
 #[test]
 fn covariances_of_lines_of_coarse_darks_have_true_errors() {
     let mut squares: Vec<f64> = Vec::new();

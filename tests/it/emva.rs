@@ -10,7 +10,8 @@ use radcam_sim::rng::{PixelRng, Stream};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-/// Compares every number that the reference tool prints with ours under its definitions, to 1e-6 of itself; how many.
+/// Compares every number that the reference tool prints with ours under its definitions, to 1e-6 of itself;
+/// how many.
 pub fn same_as_the_tool(ours: &Evaluation, tool: &serde_json::Map<String, serde_json::Value>) -> usize {
     let mut compared = 0;
     for (name, of_tool) in tool {
@@ -24,8 +25,8 @@ pub fn same_as_the_tool(ours: &Evaluation, tool: &serde_json::Map<String, serde_
         match (of_tool.as_f64(), ours) {
             (None, None) => {}
             (Some(value), Some(q)) => {
-                // The tool iterates its line of the darks, in nanoseconds, and stops short of the solution by up to a few ten-thousandths of its
-                // standard error (rational arithmetic gives ours).
+                // The tool iterates its line of the darks, in nanoseconds, and stops short of the solution by
+                // up to a few ten-thousandths of its standard error (rational arithmetic gives ours).
                 let iterated = if name.starts_with("u_I") { 1e-3 * q.std_err } else { 0.0 };
                 assert!(
                     (q.value - value).abs() <= 1e-6 * value.abs() + iterated,
@@ -84,7 +85,8 @@ fn first_series(folder: &Path, plot: &str) -> (Vec<f64>, Vec<f64>) {
     (column(1), column(2))
 }
 
-/// Ten random cameras of the tool's own simulator, 8 to 16 bits, by exposure and by light: its numbers and its histograms.
+/// Ten random cameras of the tool's own simulator, 8 to 16 bits, by exposure and by light: its numbers and
+/// its histograms.
 #[test]
 fn ten_cameras_of_the_tool_are_evaluated_as_it_does() {
     let Some(tool) = tool() else { return };
@@ -130,8 +132,8 @@ fn ten_cameras_of_the_tool_are_evaluated_as_it_does() {
     }
 }
 
-/// The share of samples at full scale at so many photons: Poisson electrons, spread by the pixels' K, with normal offsets and read noise, summed
-/// term by term.
+/// The share of samples at full scale at so many photons: Poisson electrons, spread by the pixels' K, with
+/// normal offsets and read noise, summed term by term.
 fn share_at_full_scale(model: &Model, photons: f64) -> f64 {
     let b = &model.base;
     let rest_dn = (b.gain_dn_per_e * b.read_noise_e).hypot(b.offset_spread_dn);
@@ -169,7 +171,8 @@ fn saturation(model: &Model) -> f64 {
     0.5 * (low + high)
 }
 
-/// A camera of its own kind: gain, depth, noise and nonuniformities drawn by its seed, before even light, pixels alike in dark current.
+/// A camera of its own kind: gain, depth, noise and nonuniformities drawn by its seed, before even light,
+/// pixels alike in dark current.
 fn specimen(seed: u64) -> Model {
     let mut rng = PixelRng::new(seed, Stream::Effect, 1288, 0, 0);
     let mut between = |a: f64, b: f64| a * (b / a).powf(rng.uniform());
@@ -251,7 +254,8 @@ fn errors_cover_the_truth() {
     }
 }
 
-/// Five hundred cameras: the table in docs/emva.md. `cargo test --release --test it -- --ignored emva::coverage --nocapture`
+/// Five hundred cameras: the table in docs/emva.md. `cargo test --release --test it -- --ignored
+/// emva::coverage --nocapture`
 #[test]
 #[ignore = "minutes"]
 fn coverage() {
@@ -294,7 +298,8 @@ fn is_refused(e: &Evaluation, name: &str, why: &str) {
     assert!(e.notes.iter().any(|n| n.contains(name) && n.contains(why)), "{name}: {:?}", e.notes);
 }
 
-/// Where the reference tool gives a number that is wrong, or ends in its own error: the table of docs/emva.md, row by row.
+/// Where the reference tool gives a number that is wrong, or ends in its own error: the table of
+/// docs/emva.md, row by row.
 #[test]
 fn what_fails_silently_is_true_or_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
@@ -455,7 +460,8 @@ fn return_their_datasheets(step: usize) {
             let (name, value) = field.split_once('=').unwrap();
             let value: f64 = value.parse().unwrap();
             let q = e.quantities[name].as_ref().unwrap_or_else(|| panic!("{sensor}: {name}: {:?}", e.notes));
-            // Four standard errors, what the published figure is rounded to, and 1.5 % of the saturation, which releases define otherwise.
+            // Four standard errors, what the published figure is rounded to, and 1.5 % of the saturation,
+            // which releases define otherwise.
             let digits = field.split('.').nth(1).map_or(0, str::len) as i32;
             let rounding = 0.5 * 10f64.powi(-digits) + if name == "u_e_sat" { 0.015 * value } else { 0.0 };
             let off = (q.value - value).abs();

@@ -174,8 +174,8 @@ fn one_of_two_equal_darks_was_averaged() {
     assert!(named.is_some_and(|f| f["sets"].to_string().contains(&second.to_string())), "{faults}");
 }
 
-/// Pairs in no order of their exposures, the first frame of each exposed as the set before it: half of what is
-/// read of a pair is stale.
+/// Pairs in no order of their exposures, the first frame of each exposed as the set before it: half of what
+/// is read of a pair is stale.
 #[test]
 fn stale_frames_of_pairs_in_any_order_are_named() {
     let shares = [0.5, 0.2, 0.95, 0.35, 0.8, 0.1, 0.65, 0.3, 0.9, 0.15];
@@ -200,8 +200,8 @@ fn stale_frames_of_pairs_in_any_order_are_named() {
     assert_eq!(said["missing"], serde_json::json!([]));
 }
 
-/// Image lag whose electrons stay by chance leaves the noise as frames of both settings do: up to the share that
-/// sensors have, it is no slip.
+/// Image lag whose electrons stay by chance leaves the noise as frames of both settings do: up to the share
+/// that sensors have, it is no slip.
 #[test]
 fn lag_by_chance_is_no_stale_frame() {
     for (fraction, seed) in [("0.12", 209), ("0.2", 210)] {
@@ -218,8 +218,8 @@ fn lag_by_chance_is_no_stale_frame() {
     }
 }
 
-/// Flats at the full well have one level at the longest exposures, and less noise than it has: the exposure is what
-/// is stated.
+/// Flats at the full well have one level at the longest exposures, and less noise than it has: the exposure
+/// is what is stated.
 #[test]
 fn flats_at_the_full_well_have_their_exposures() {
     let shares = [0.1, 0.25, 0.4, 0.5, 0.5, 0.5];
@@ -258,8 +258,9 @@ fn a_black_level_that_moved_is_no_dark_charge() {
     }
 }
 
-/// A lamp that starts 5 % dim at each level, in sweeps that grow by one step and by one factor: all first frames are
-/// left out, and nothing is missing. Those of the settings before, in levels that grow by one factor, stay stale.
+/// A lamp that starts 5 % dim at each level, in sweeps that grow by one step and by one factor: all first
+/// frames are left out, and nothing is missing. Those of the settings before, in levels that grow by one
+/// factor, stay stale.
 #[test]
 fn lamps_that_start_dim_are_named() {
     for (shares, by, seed) in
@@ -311,8 +312,8 @@ fn flats_of_two_cameras_are_named() {
     assert!([own, others].iter().any(|sets| faults[0]["sets"] == serde_json::json!(sets)), "{faults:?}");
 }
 
-/// An amplifier that warms up with a time constant of 15 frames, whose files carry no times, is a drift and no lag.
-/// Each frame is taken to last 1 s and its exposure, of at most 0.02 s.
+/// An amplifier that warms up with a time constant of 15 frames, whose files carry no times, is a drift and
+/// no lag. Each frame is taken to last 1 s and its exposure, of at most 0.02 s.
 #[test]
 fn a_warm_up_without_times_is_a_drift() {
     let shares = [0.15, 0.3, 0.45, 0.6, 0.75, 0.9];
@@ -335,8 +336,8 @@ fn a_warm_up_without_times_is_a_drift() {
     assert!(said["notes"].to_string().contains("the frames carry no times"), "{}", said["notes"]);
 }
 
-/// Image lag after dark frames that nobody saved takes one share off the first frame of every flat too: it is in
-/// the noise, and no slip.
+/// Image lag after dark frames that nobody saved takes one share off the first frame of every flat too: it is
+/// in the noise, and no slip.
 #[test]
 fn lag_after_unsaved_darks_is_no_dim_lamp() {
     let folder = tempfile::tempdir().unwrap();
@@ -441,8 +442,8 @@ fn has_another_gain(campaign: &Campaign, sets: &[u32], words: &str) {
     assert!((value - 0.38).abs() < 4.0 * error, "{value} +- {error}");
 }
 
-/// A digital gain in one configuration of a calibration, about the black level and with it; an automatic gain in
-/// all.
+/// A digital gain in one configuration of a calibration, about the black level and with it; an automatic gain
+/// in all.
 #[test]
 fn another_gain_in_configurations_is_named() {
     for (above, seed) in [(BLACK_DN, 256), (0.0, 257)] {
@@ -554,8 +555,8 @@ fn bright_flats_that_are_turned_are_named() {
     is_named(&campaign, "other-settings", &flats[3..], "turned by 180 degrees");
 }
 
-/// Darks of a hot sensor at full scale in most pixels: what is left of them decides nothing. Before, a bend of 16
-/// % was named.
+/// Darks of a hot sensor at full scale in most pixels: what is left of them decides nothing. Before, a bend
+/// of 16 % was named.
 #[test]
 fn a_dark_at_full_scale_decides_nothing() {
     let shares = [0.2, 0.4, 0.6, 0.8, 0.95];

@@ -16,9 +16,9 @@ fn corners_over_middle(frame: &Array2<f32>) -> f64 {
 }
 
 /// A camera behind a lens that leaves 60 % in the corners. Frames of another day, corrected by flats of one
-/// place: corners and middle agree within 0.3 % (the error of blocks of 300 pixels is a tenth of that), and what
-/// is left of the spread is the noise of the frames and the error of K, within a fifth. A K of the pixels alone
-/// leaves the shading.
+/// place: corners and middle agree within 0.3 % (the error of blocks of 300 pixels is a tenth of that), and
+/// what is left of the spread is the noise of the frames and the error of K, within a fifth. A K of the
+/// pixels alone leaves the shading.
 #[test]
 fn a_shaded_flat_is_even_behind_it() {
     let dir = tempfile::tempdir().unwrap();

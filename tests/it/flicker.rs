@@ -3,8 +3,8 @@
 use crate::rewritten::{Campaign, set_of_plan};
 use crate::support::expect;
 
-/// Mains flicker of tens of per cent in exposures of milliseconds: its size and frequency are right, no bend is
-/// found beside it, and the gain is that of the sensor, each within four standard errors.
+/// Mains flicker of tens of per cent in exposures of milliseconds: its size and frequency are right, no bend
+/// is found beside it, and the gain is that of the sensor, each within four standard errors.
 #[test]
 fn mains_flicker_is_a_ripple_and_no_bend() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! What `correct`, `scene` and `stream` read of a frame's header and name, held against the calibration. A camera
-//! of its own: no code of radcam draws it, but for the random numbers.
+//! What `correct`, `scene` and `stream` read of a frame's header and name, held against the calibration. A
+//! camera of its own: no code of radcam draws it, but for the random numbers.
 
 use crate::support::{expect, radcam, refused};
 use ndarray::Array2;
@@ -238,8 +238,8 @@ fn fits_headers_are_held_against_the_calibration() {
     assert!(said.contains("states no exposure") && said.contains("--exposure-s"), "{said}");
 }
 
-/// TIFF and PNG: exposure of the description, of EXIF, of text chunks, of the name; a gain in dB that differs is
-/// refused.
+/// TIFF and PNG: exposure of the description, of EXIF, of text chunks, of the name; a gain in dB that differs
+/// is refused.
 #[test]
 fn descriptions_exif_texts_and_names_say_the_exposure() {
     let (folder, mut camera) = (Folder::new(), Drawn::new(33, 200.0));
@@ -290,8 +290,8 @@ fn descriptions_exif_texts_and_names_say_the_exposure() {
     assert!(said.contains("states an exposure of 4 s") && said.contains("2 s"), "{said}");
 }
 
-/// A recording whose header settings differ from those of the calibration is no camera for it; one that does not
-/// state them is told of.
+/// A recording whose header settings differ from those of the calibration is no camera for it; one that does
+/// not state them is told of.
 #[test]
 fn a_stream_is_held_against_the_calibration_as_frames_are() {
     let (folder, mut camera) = (Folder::new(), Drawn::new(21, 200.0));
@@ -320,8 +320,8 @@ fn a_stream_is_held_against_the_calibration_as_frames_are() {
     assert!(said.contains("does not state gain setting (GainRaw) (100)"), "{said}");
 }
 
-/// Codes of 12 bits stretched by 65535/4095: `import` takes them back, and `correct` refuses flats and darks that
-/// were not, though the codes of a dark lie within 12 bits.
+/// Codes of 12 bits stretched by 65535/4095: `import` takes them back, and `correct` refuses flats and darks
+/// that were not, though the codes of a dark lie within 12 bits.
 #[test]
 fn stretched_frames_are_no_frames_of_the_calibration() {
     let folder = Folder::new();
@@ -353,7 +353,8 @@ fn stretched_frames_are_no_frames_of_the_calibration() {
     }
 }
 
-/// Codes in the upper bits of 16: files as `import` shifted them down are shifted down by `correct`, and said.
+/// Codes in the upper bits of 16: files as `import` shifted them down are shifted down by `correct`, and
+/// said.
 #[test]
 fn codes_in_the_upper_bits_are_shifted_down() {
     let (folder, mut camera) = (Folder::new(), Drawn::new(297, 20.0));
@@ -424,7 +425,8 @@ fn rows_that_run_the_other_way_are_turned() {
     }
 }
 
-/// Overscan that a FITS header states is cut off by `import` and by `correct`; sections that are none are refused.
+/// Overscan that a FITS header states is cut off by `import` and by `correct`; sections that are none are
+/// refused.
 #[test]
 fn overscan_of_fits_is_cut_off() {
     let folder = Folder::new();

@@ -39,8 +39,8 @@ fn sets(dataset: &Dataset) -> Vec<(Kind, f64, usize)> {
     dataset.sets().iter().map(of).collect()
 }
 
-/// Image keys of tomography: flats and darks become sets by the time of each frame, projections are left out and
-/// said, and `noise` finds the gain of the generator.
+/// Image keys of tomography: flats and darks become sets by the time of each frame, projections are left out
+/// and said, and `noise` finds the gain of the generator.
 #[test]
 fn image_keys_of_nexus_are_kinds() {
     let folder = Folder::new();
@@ -76,7 +76,8 @@ fn data_exchange_says_its_kinds() {
     assert!(said.notes[0].contains("4 frames of /exchange/data"), "{:?}", said.notes);
 }
 
-/// Single precision packed with LZF in chunks of three frames; exposure and unit in attributes, kind by the name.
+/// Single precision packed with LZF in chunks of three frames; exposure and unit in attributes, kind by the
+/// name.
 #[test]
 fn a_plain_stack_is_described_by_its_attributes() {
     let folder = Folder::new();
@@ -110,7 +111,8 @@ fn a_single_frame_is_an_image() {
     assert!(stack.contains("stack of 5 pages"), "{stack}");
 }
 
-/// Several datasets are listed with the option that picks one; other reasons are the true ones, with the file.
+/// Several datasets are listed with the option that picks one; other reasons are the true ones, with the
+/// file.
 #[test]
 fn a_refusal_says_what_to_do() {
     let folder = Folder::new();
@@ -174,8 +176,8 @@ fn frames_lie_along_another_axis() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
 
-    /// Files that are cut and whose bytes are changed give frames, or an error that names the file; memory is not
-    /// taken on the word of a header.
+    /// Files that are cut and whose bytes are changed give frames, or an error that names the file; memory is
+    /// not taken on the word of a header.
     #[test]
     fn damaged_files_are_named(
         which in 0usize..6,

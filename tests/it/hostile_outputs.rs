@@ -1,4 +1,5 @@
-//! Places that radcam writes to, secrets that it is given, signals: what others prepared there is left as it is.
+//! Places that radcam writes to, secrets that it is given, signals: what others prepared there is left as it
+//! is.
 
 use crate::support::{calibration, expect, program, radcam, refused, small_sensor};
 use std::fs;

@@ -53,7 +53,8 @@ fn a_folder_of_tiffs_becomes_a_verdict_and_a_calibration() {
     assert!(said.contains("is there already"), "{said}");
 }
 
-/// A dark and a lit stack of three pages, as ImageJ writes them. Their exposure stands nowhere: the map asks for it.
+/// A dark and a lit stack of three pages, as ImageJ writes them. Their exposure stands nowhere: the map asks
+/// for it.
 #[test]
 fn a_stack_is_a_set_and_what_is_not_known_is_asked() {
     let dir = tempfile::tempdir().unwrap();
@@ -241,8 +242,9 @@ fn numpy_arrays_and_times_are_read() {
     assert_eq!(rows, [(Kind::Dark, 0.0), (Kind::Dark, 0.75), (Kind::Flat, 8.25)]);
 }
 
-/// Exposures of 5 and 50 in frames that follow one another by 0.2 s are no seconds: asked. Where frames follow one
-/// another by more, or a unit is stated, they are, and times at which one set was written tell nothing.
+/// Exposures of 5 and 50 in frames that follow one another by 0.2 s are no seconds: asked. Where frames
+/// follow one another by more, or a unit is stated, they are, and times at which one set was written tell
+/// nothing.
 #[test]
 fn exposures_longer_than_the_time_between_frames_are_asked() {
     let dir = tempfile::tempdir().unwrap();
@@ -284,7 +286,8 @@ fn exposures_longer_than_the_time_between_frames_are_asked() {
     }
 }
 
-/// Frames that radcam wrote say of themselves what they are: thrown together without their rows they are the same dataset.
+/// Frames that radcam wrote say of themselves what they are: thrown together without their rows they are the
+/// same dataset.
 #[test]
 fn frames_of_radcam_say_their_settings() {
     let dir = tempfile::tempdir().unwrap();
@@ -305,7 +308,8 @@ fn frames_of_radcam_say_their_settings() {
     assert_eq!(b.manifest().camera.model, "cmos12");
 }
 
-/// Two cameras, or two settings that headers tell of, make no dataset; a map that the files do not bear out neither.
+/// Two cameras, or two settings that headers tell of, make no dataset; a map that the files do not bear out
+/// neither.
 #[test]
 fn one_dataset_is_of_one_camera() {
     let dir = tempfile::tempdir().unwrap();

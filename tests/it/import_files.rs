@@ -92,8 +92,8 @@ fn tables_beside_the_frames_are_read() {
     assert!(bench.refused("sets").contains("exposure_s of set 0"));
 }
 
-/// A table that German Excel saved in Windows' letters, one whose rows name the first and the last frame, and one
-/// that names other frames, which is said.
+/// A table that German Excel saved in Windows' letters, one whose rows name the first and the last frame, and
+/// one that names other frames, which is said.
 #[test]
 fn tables_of_spreadsheets_are_read() {
     let bench = Bench::new();

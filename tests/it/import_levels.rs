@@ -192,8 +192,8 @@ fn configurations_in_names_are_read() {
     assert_eq!(found[1..].iter().map(|f| f.1).collect::<Vec<_>>(), [1, 2, 3, 4]);
 }
 
-/// Frames of the sky or of a lamp's spectrum, stated as such beside darks and flats, are neither: they are left
-/// out and said. Where nothing else is called flat they are the flats.
+/// Frames of the sky or of a lamp's spectrum, stated as such beside darks and flats, are neither: they are
+/// left out and said. Where nothing else is called flat they are the flats.
 #[test]
 fn light_frames_beside_flats_are_left_out() {
     let bench = Bench::new();
@@ -233,7 +233,8 @@ fn averages_in_names_and_folders_are_asked() {
     assert!(bench.refused("range").contains("is 2 or 20 ms"));
 }
 
-/// Codes in the upper bits of some files and not of the others; an array whose last axis may count the frames.
+/// Codes in the upper bits of some files and not of the others; an array whose last axis may count the
+/// frames.
 #[test]
 fn shifted_codes_and_narrow_arrays_are_asked() {
     let bench = Bench::new();

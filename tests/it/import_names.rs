@@ -1,12 +1,13 @@
-//! Names of files and folders as programs and people write them: kind, settings, time stamps, copies, leftovers.
+//! Names of files and folders as programs and people write them: kind, settings, time stamps, copies,
+//! leftovers.
 
 use crate::import_cases::{Bench, Camera, sets};
 use crate::support::{expect, program, radcam};
 use radcam::dataset::{Dataset, Kind};
 use std::fs;
 
-/// A campaign of two darks and three flats, `frames` frames a set; the name of each from kind, exposure (ms), the
-/// number of the frame in its set, and that in the campaign.
+/// A campaign of two darks and three flats, `frames` frames a set; the name of each from kind, exposure (ms),
+/// the number of the frame in its set, and that in the campaign.
 fn campaign(bench: &Bench, folder: &str, frames: usize, name: &dyn Fn(&str, f64, usize, usize) -> String) {
     let mut camera = Camera::new(30);
     let mut all = 0;

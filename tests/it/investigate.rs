@@ -36,8 +36,8 @@ fn a_tie_is_broken_by_the_second_measurement() {
         let camera = ["investigate", "--camera", "aravis:127.0.0.1"];
         let said = expect(1, &[&camera[..], &["--plan", "quick", "--json", "-o", path]].concat());
         let found = json(&said);
-        // Alone the first measurement leaves two of them open. Times are the clock's: whether the lamp or the gain
-        // that drifts is the nearer one in the first look is chance.
+        // Alone the first measurement leaves two of them open. Times are the clock's: whether the lamp or the
+        // gain that drifts is the nearer one in the first look is chance.
         assert_eq!(found["measurements"].as_array().unwrap().len(), measurements, "{id}: {said}");
         let near = if id == "illumination-drift" { "-drift" } else { id };
         let second = found["measurements"][1]["about"].as_str();
@@ -51,7 +51,8 @@ fn a_tie_is_broken_by_the_second_measurement() {
     }
 }
 
-/// A campaign that was broken off is gone on with, and not begun again; a folder with something else in it is left alone.
+/// A campaign that was broken off is gone on with, and not begun again; a folder with something else in it is
+/// left alone.
 #[test]
 fn an_investigation_goes_on_where_it_was() {
     let dir = tempfile::tempdir().unwrap();
@@ -78,7 +79,8 @@ fn an_investigation_goes_on_where_it_was() {
     assert!(said.contains("no investigation"), "{said}");
 }
 
-/// Two campaigns of one camera: together they tell what the first alone leaves open, in every verb that judges.
+/// Two campaigns of one camera: together they tell what the first alone leaves open, in every verb that
+/// judges.
 #[test]
 fn several_datasets_are_taken_together() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! Laws for what has no name: found on frames of a generator that shares nothing with them, added to a model file
-//! by one command, drawn as they are predicted.
+//! Laws for what has no name: found on frames of a generator that shares nothing with them, added to a model
+//! file by one command, drawn as they are predicted.
 
 use crate::effects::{campaign, observe, unit};
 use crate::outside;
@@ -18,10 +18,10 @@ fn diagnosis_of(root: &Path, act: Act<'_>) -> serde_json::Value {
     serde_json::from_str(&expect(1, &["diagnose", root.to_str().unwrap(), "--json"])).unwrap()
 }
 
-/// Noise shared by blocks of two by two pixels, an echo of the line before last, a gain that is another one for
-/// every sample, and light that tilts from frame to frame: each law has the right statistic and growth, leaves an
-/// error of 1 and gives the gain of the
-/// camera within three standard errors; added to a model file by one command it describes the campaign.
+/// Noise shared by blocks of two by two pixels, an echo of the line before last, a gain that is another one
+/// for every sample, and light that tilts from frame to frame: each law has the right statistic and growth,
+/// leaves an error of 1 and gives the gain of the camera within three standard errors; added to a model file
+/// by one command it describes the campaign.
 #[test]
 fn what_has_no_name_gets_a_law() {
     use outside::{SIZE, normal};
@@ -161,9 +161,9 @@ fn a_camera_without_a_remainder_gets_no_law() {
     assert!(said.contains("no law is proposed") && said.contains("agrees"), "{said}");
 }
 
-/// Formulas of covariances at any lag, of one diagonal alone, and of frames (every second one, time) are drawn as
-/// they are predicted: fitted to its own campaign the size is what was drawn within four standard errors, the
-/// model agrees at one in a thousand, and the model without the formula does not.
+/// Formulas of covariances at any lag, of one diagonal alone, and of frames (every second one, time) are
+/// drawn as they are predicted: fitted to its own campaign the size is what was drawn within four standard
+/// errors, the model agrees at one in a thousand, and the model without the formula does not.
 #[test]
 fn formulas_are_drawn_as_they_are_predicted() {
     for (k, (target, formula, size)) in [

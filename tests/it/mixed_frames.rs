@@ -46,8 +46,8 @@ fn covered_columns_and_stuck_pixels_take_no_part() {
     assert!(notes(&noise).contains("blind"), "{}", notes(&noise));
 }
 
-/// The longer darks had a twentieth of the light: its pattern is in them. They are left out, and the others tell the
-/// read noise.
+/// The longer darks had a twentieth of the light: its pattern is in them. They are left out, and the others
+/// tell the read noise.
 #[test]
 fn darks_that_had_light_are_no_darks() {
     let bench = Bench::new();

@@ -7,13 +7,15 @@ use radcam_sim::Model;
 use radcam_sim::effects::example;
 use std::path::Path;
 
-/// An effect in formulas, added to the model file by hand, explains what has no name; the model can be drawn again.
+/// An effect in formulas, added to the model file by hand, explains what has no name; the model can be drawn
+/// again.
 #[test]
 fn a_formula_explains_what_has_no_name() {
     use outside::{SIZE, normal};
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("c");
-    // Noise shared by 2 x 2 pixels: half of the neighbours along each axis, a quarter of the diagonals; those of even columns, rows.
+    // Noise shared by 2 x 2 pixels: half of the neighbours along each axis, a quarter of the diagonals; those
+    // of even columns, rows.
     outside::campaign(&root, &|f, _, image| {
         for ((y, x), v) in image.indexed_iter_mut() {
             *v += normal((3 << 48) + (f << 20) + (y / 2 * SIZE + x / 2) as u64);
@@ -54,7 +56,8 @@ units = { v = "DN^2" }
     }
 }
 
-/// A value that is not given is found in the dataset by `compare` and `model fit`; to draw without it is refused by name.
+/// A value that is not given is found in the dataset by `compare` and `model fit`; to draw without it is
+/// refused by name.
 #[test]
 fn open_values_of_a_model_are_found() {
     let dir = tempfile::tempdir().unwrap();
@@ -74,8 +77,8 @@ fn open_values_of_a_model_are_found() {
     assert!((found - values[0]).abs() < 4.0 * std_err, "{found} +- {std_err}, hidden {}", values[0]);
 }
 
-/// What an earlier fit has found is searched for anew on other data, choices included; a fit says how well it does and how well the paper's
-/// values are known.
+/// What an earlier fit has found is searched for anew on other data, choices included; a fit says how well it
+/// does and how well the paper's values are known.
 #[test]
 fn a_fit_forgets_what_other_data_chose() {
     let dir = tempfile::tempdir().unwrap();

@@ -41,9 +41,9 @@ fn gain(arguments: &[&str]) -> (f64, f64) {
     (gain["value"].as_f64().unwrap(), gain["std_err"].as_f64().unwrap())
 }
 
-/// The header says the pattern: import says colour and --plane, and of frames that are kept whole every verb that
-/// takes pixels for of one kind refuses by the format's name, and with --plane each colour has its own gain, the
-/// same as `import --plane` gives. `calibrate` takes each colour by itself as it is.
+/// The header says the pattern: import says colour and --plane, and of frames that are kept whole every verb
+/// that takes pixels for of one kind refuses by the format's name, and with --plane each colour has its own
+/// gain, the same as `import --plane` gives. `calibrate` takes each colour by itself as it is.
 #[test]
 fn a_mosaic_is_measured_plane_by_plane() {
     let dir = tempfile::tempdir().unwrap();
@@ -119,7 +119,8 @@ fn a_mosaic_is_measured_plane_by_plane() {
     expect(0, &["correct", &text("cal.tiff"), &d, "-o", &text("flat")]);
 }
 
-/// The pattern of other headers, of captures and of hand-written manifests, and one that only the means tell of.
+/// The pattern of other headers, of captures and of hand-written manifests, and one that only the means tell
+/// of.
 #[test]
 fn a_mosaic_is_known_by_any_header() {
     let dir = tempfile::tempdir().unwrap();

@@ -10,8 +10,8 @@ use serde_json::Value;
 
 const SHARES: [f64; 8] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9];
 
-/// A black level off by a few codes, where all other flats lie on a line: 60 of 700 codes are told by the noise,
-/// 20 of 1600 are a label or a black level, 8 of 1600 are less than a label is off.
+/// A black level off by a few codes, where all other flats lie on a line: 60 of 700 codes are told by the
+/// noise, 20 of 1600 are a label or a black level, 8 of 1600 are less than a label is off.
 #[test]
 fn a_level_off_by_little_is_named() {
     for (place, dn, kind, words) in [
@@ -76,8 +76,8 @@ fn frames_of_two_levels_are_parted() {
     assert!(!said["data_faults"].to_string().contains("of its frames"), "{said}");
 }
 
-/// An export with automatic contrast writes each set, or each frame, in steps of its own: no verb computes with
-/// them.
+/// An export with automatic contrast writes each set, or each frame, in steps of its own: no verb computes
+/// with them.
 #[test]
 fn contrast_stretched_for_each_set_is_refused() {
     [false, true].into_iter().for_each(stretched);
@@ -130,7 +130,8 @@ fn averaged_flats_beside_single_darks_are_refused() {
     }
 }
 
-/// Codes eight apart that hide the noise of the darks, and of dim flats: rounding is no slip, and ends no verb.
+/// Codes eight apart that hide the noise of the darks, and of dim flats: rounding is no slip, and ends no
+/// verb.
 #[test]
 fn noise_that_rounding_hides_is_no_slip() {
     let folder = tempfile::tempdir().unwrap();
@@ -159,9 +160,9 @@ fn drawn(seed: u32, k: usize) -> f64 {
     PixelRng::new(seed.into(), Stream::Effect, k as u64, 0, 0).normal()
 }
 
-/// Two successive sets of one setting differ by 3 % in light, under a lamp whose settings scatter by 0.1 %: both
-/// are left out, or the one off the line of the others. No slip is a lamp that falls by 3 % over a sweep in
-/// order, with the first setting again at its end.
+/// Two successive sets of one setting differ by 3 % in light, under a lamp whose settings scatter by 0.1 %:
+/// both are left out, or the one off the line of the others. No slip is a lamp that falls by 3 % over a sweep
+/// in order, with the first setting again at its end.
 #[test]
 fn repeats_of_unequal_light_are_named() {
     let dir = tempfile::tempdir().unwrap();
@@ -196,8 +197,8 @@ fn repeats_of_unequal_light_are_named() {
     }
 }
 
-/// Four pairs with 1.6 % less light in the first frame, under 0.2 % flicker: named together, since each is too
-/// little to be told alone.
+/// Four pairs with 1.6 % less light in the first frame, under 0.2 % flicker: named together, since each is
+/// too little to be told alone.
 #[test]
 fn pairs_that_differ_alike_are_named() {
     for (seed, less) in [(249, 0.984), (250, 1.0)] {

@@ -38,7 +38,8 @@ fn campaign(sensor: &Sensor, number: u64) -> Measured {
     }
 }
 
-/// Distance of an ordered sample from a distribution and its chance (Kolmogorov; Marsaglia's asymptotic series).
+/// Distance of an ordered sample from a distribution and its chance (Kolmogorov; Marsaglia's asymptotic
+/// series).
 fn kolmogorov(mut chances: Vec<f64>) -> f64 {
     chances.sort_by(f64::total_cmp);
     let n = chances.len() as f64;
@@ -52,8 +53,8 @@ fn kolmogorov(mut chances: Vec<f64>) -> f64 {
         .clamp(0.0, 1.0)
 }
 
-/// Inverse of the information about (A, sigma_C^2) that normal noise of these variances holds: Cramer and Rao's
-/// bound on the variance of A.
+/// Inverse of the information about (A, sigma_C^2) that normal noise of these variances holds: Cramer and
+/// Rao's bound on the variance of A.
 fn cramer_rao_gain(sensor: &Sensor, gain: f64, constant: f64) -> f64 {
     let (mut aa, mut ac, mut cc) = (0.0, 0.0, 0.0);
     for illumination in [0.05, 0.2, 0.4, 0.6, 0.8, 1.0] {
@@ -159,8 +160,8 @@ fn a_camera_of_others_is_measured_right() {
     assert!(report.consistent());
 }
 
-/// The paper's camera and two of today, a whole standard campaign each: pulls of A, constant noise and zero over 24 specimens
-/// have unit size. The zero is compared with the mean of the drawn offsets.
+/// The paper's camera and two of today, a whole standard campaign each: pulls of A, constant noise and zero
+/// over 24 specimens have unit size. The zero is compared with the mean of the drawn offsets.
 #[test]
 fn cameras_are_recovered_within_stated_errors_zero_included() {
     let (mut pulls, mut deviations) = (Vec::new(), 0);
@@ -207,14 +208,15 @@ fn cameras_are_recovered_within_stated_errors_zero_included() {
     }
     let n = pulls.len() as f64;
     let square = pulls.iter().map(|p| p * p).sum::<f64>() / n;
-    // Errors from the scatter of few frames give pulls with heavier tails than normal ones: 2.5 in place of 2.
+    // Errors from the scatter of few frames give pulls with heavier tails than normal ones: 2.5 in place of
+    // 2.
     assert!((square - 1.0).abs() < 4.0 * (2.5 / n).sqrt(), "mean square of the pulls {square}: {pulls:.1?}");
     assert!(pulls.iter().all(|p| p.abs() < 5.0), "{pulls:.1?}");
     assert!(deviations <= 2, "{deviations} of 24 with Q below 0.01");
 }
 
-/// Means with the black level in them, and no darks: the variances meet zero at it, `noise` and `diagnose` say so, and
-/// both have the gain.
+/// Means with the black level in them, and no darks: the variances meet zero at it, `noise` and `diagnose`
+/// say so, and both have the gain.
 #[test]
 fn a_black_level_in_the_means_of_a_table_is_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -312,7 +314,8 @@ fn noise_that_pixels_or_frames_share_is_said() {
     }
 }
 
-/// Dark charge whose level the camera takes off leaves its noise in flats of long exposures: before, the gain was
+/// Dark charge whose level the camera takes off leaves its noise in flats of long exposures: before, the gain
+/// was
 /// 0.447 for 0.38 here, with exit code 0 where the levels happened to lie on a line.
 #[test]
 fn the_noise_of_clamped_charge_is_no_gain() {
@@ -340,8 +343,8 @@ fn the_noise_of_clamped_charge_is_no_gain() {
     }
 }
 
-/// Dark charge whose level the camera takes off, beside flats of one exposure: a shorter dark has less noise, and
-/// is no average. Before, it was left out, and the read noise was that of the charge.
+/// Dark charge whose level the camera takes off, beside flats of one exposure: a shorter dark has less noise,
+/// and is no average. Before, it was left out, and the read noise was that of the charge.
 #[test]
 fn a_short_dark_of_clamped_charge_is_no_average() {
     let folder = tempfile::tempdir().unwrap();
@@ -373,8 +376,8 @@ fn a_short_dark_of_clamped_charge_is_no_average() {
     }
 }
 
-/// Two frames a set of pixels that share 3 % of their charge with each of four neighbours: what the next pixels
-/// share is said, with the gain, where what all neighbours share is not told.
+/// Two frames a set of pixels that share 3 % of their charge with each of four neighbours: what the next
+/// pixels share is said, with the gain, where what all neighbours share is not told.
 #[test]
 fn noise_that_few_frames_share_is_said() {
     let campaign = sweep(&[0.3, 0.5, 0.7, 0.95], &[0.3, 0.5, 0.7, 0.95], 2, 268);
@@ -391,7 +394,8 @@ fn noise_that_few_frames_share_is_said() {
     let said = campaign.said("noise");
     let shared = &said["shared_noise_rel"];
     let (value, error) = (shared["value"].as_f64().unwrap(), shared["std_err"].as_f64().unwrap());
-    // The variance of the kernel is 0.88^2 + 4 0.03^2, its sum 1; its next pixels share 4 (2 0.88 0.03) of that.
+    // The variance of the kernel is 0.88^2 + 4 0.03^2, its sum 1; its next pixels share 4 (2 0.88 0.03) of
+    // that.
     let own = 0.88f64.powi(2) + 4.0 * 0.03f64.powi(2);
     assert!((own + 4.0 * 2.0 * 0.88 * 0.03 - own * (1.0 + value)).abs() < 4.0 * error + 0.01, "{shared}");
     assert!(said["notes"].to_string().contains("neighbouring pixels share noise"), "{}", said["notes"]);

@@ -1,5 +1,5 @@
-//! A generator of its own, which shares nothing with sim/: normal numbers by a mixing function, charge as normal noise of the
-//! right variance.
+//! A generator of its own, which shares nothing with sim/: normal numbers by a mixing function, charge as
+//! normal noise of the right variance.
 
 use ndarray::Array2;
 use radcam::dataset::{CameraInfo, FrameRow, Kind, Manifest, Writer};

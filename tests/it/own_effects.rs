@@ -1,4 +1,5 @@
-//! Effects of a user's own in files: a law becomes one by one command, and the next diagnosis knows it by name.
+//! Effects of a user's own in files: a law becomes one by one command, and the next diagnosis knows it by
+//! name.
 
 use crate::jitter_of_the_samples::JitterOfTheSamplesEffect;
 use crate::outside::{self, SIZE, normal};
@@ -18,8 +19,8 @@ fn jitter(root: &Path, rel: f64, seed: u64) {
     });
 }
 
-/// A law that one campaign shows becomes an effect of the catalogue by one command. Another campaign of such a
-/// camera, of another strength, has its name and size (three standard errors), not a law; the model that is
+/// A law that one campaign shows becomes an effect of the catalogue by one command. Another campaign of such
+/// a camera, of another strength, has its name and size (three standard errors), not a law; the model that is
 /// written holds without the folder.
 #[test]
 fn a_law_becomes_an_effect_that_is_known_by_name() {
@@ -73,7 +74,8 @@ fn a_law_becomes_an_effect_that_is_known_by_name() {
     assert!(err.contains("broken.toml"), "{err}");
 }
 
-/// Each file that is no effect is refused with its name and what is wrong with it, a folder that is absent too.
+/// Each file that is no effect is refused with its name and what is wrong with it, a folder that is absent
+/// too.
 #[test]
 fn files_that_are_no_effect_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
@@ -119,8 +121,8 @@ fn a_written_source_is_an_effect() {
     assert_eq!(effect.page().equation, "variance + k * (mu / 1000)^2");
     assert_eq!(effect.parameters().len(), 1);
     assert_eq!(effect.parameters()[0].starts, [8.0]);
-    // It predicts what its formulas draw: with it the model agrees with their campaign (one chance in a thousand
-    // to be refused), without it not.
+    // It predicts what its formulas draw: with it the model agrees with their campaign (one chance in a
+    // thousand to be refused), without it not.
     let dir = tempfile::tempdir().unwrap();
     let mut model = crate::effects::unit(331);
     model.effects.push(radcam_sim::EffectValues {
@@ -141,8 +143,8 @@ fn a_written_source_is_an_effect() {
     assert!(effect.written().is_none(), "a model names it, and has no formulas");
 }
 
-/// Effects of formulas are added and removed by their names, and are other effects than those of the catalogue of
-/// the same name.
+/// Effects of formulas are added and removed by their names, and are other effects than those of the
+/// catalogue of the same name.
 #[test]
 fn effects_of_formulas_are_removed_by_name() {
     let dir = tempfile::tempdir().unwrap();

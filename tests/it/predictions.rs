@@ -113,9 +113,9 @@ fn strengths_and_pairs_are_what_is_predicted() {
     assert!(bad.is_empty(), "{bad:#?}");
 }
 
-/// Some of these pairs, and those that did not agree once: wells after what neighbours share, bands that a well
-/// cuts, what is left of a change of level from pixel to pixel, codes that a filter moves away from those
-/// that are too wide.
+/// Some of these pairs, and those that did not agree once: wells after what neighbours share, bands that a
+/// well cuts, what is left of a change of level from pixel to pixel, codes that a filter moves away from
+/// those that are too wide.
 #[test]
 fn some_strengths_and_pairs_are_what_is_predicted() {
     let pair = |a: (&'static str, f64), b: (&'static str, f64)| vec![a, b];

@@ -370,8 +370,8 @@ fn a_camera_is_calibrated_and_its_frames_corrected() {
     assert!(refused(&["calibrate", &at("flat_only"), "-o", &at("y.tiff")]).contains("three configurations"));
 }
 
-/// A plan for an error of K gives that error: its mean over the pixels, which a campaign of few frames knows to some per cent, is no larger and
-/// no needlessly small.
+/// A plan for an error of K gives that error: its mean over the pixels, which a campaign of few frames knows
+/// to some per cent, is no larger and no needlessly small.
 #[test]
 fn an_error_of_k_that_is_asked_for_is_met() {
     let dir = tempfile::tempdir().unwrap();
@@ -446,7 +446,8 @@ fn a_full_disk_is_told() {
     assert!(said.contains("No space left") && !said.contains("panicked"), "{said}");
 }
 
-/// A file that cannot be written to its end, as on a full disk, leaves nothing of itself behind; what was whole before stays.
+/// A file that cannot be written to its end, as on a full disk, leaves nothing of itself behind; what was
+/// whole before stays.
 #[test]
 fn what_cannot_be_written_whole_leaves_nothing() {
     let dir = tempfile::tempdir().unwrap();
@@ -474,7 +475,8 @@ fn what_cannot_be_written_whole_leaves_nothing() {
     assert_eq!((code, files().len()), (Some(0), 40), "{said}");
 }
 
-/// A simulation that was broken off and gone on with is the one that was not: frames, rows and all that follows.
+/// A simulation that was broken off and gone on with is the one that was not: frames, rows and all that
+/// follows.
 #[test]
 fn a_resumed_simulation_is_the_undisturbed_one() {
     let dir = tempfile::tempdir().unwrap();
@@ -593,7 +595,8 @@ fn one_level_and_one_bias_frame_give_a_gain_with_its_error() {
     let of =
         |name: &str| (report[name]["value"].as_f64().unwrap(), report[name]["std_err"].as_f64().unwrap());
     let ((gain, gain_error), (read, read_error)) = (of("gain_dn_per_e"), of("read_noise_e"));
-    // Truth within two errors; the pattern of the offsets is in the bound, so that it lies above the read noise.
+    // Truth within two errors; the pattern of the offsets is in the bound, so that it lies above the read
+    // noise.
     assert!((gain - 0.38).abs() < 2.0 * gain_error && gain_error < 0.02, "{gain} +- {gain_error}");
     assert!(read + 1.8 * read_error > 2.6, "{read} +- {read_error}");
     assert_eq!(report["estimators"][0]["method"], "one-level");

@@ -1,4 +1,5 @@
-//! The report as a page: its numbers are those of the JSON, it fetches nothing, and its hash is that of sha256sum.
+//! The report as a page: its numbers are those of the JSON, it fetches nothing, and its hash is that of
+//! sha256sum.
 
 use crate::far_slips::sweep;
 use crate::support::{expect, shared};
@@ -18,7 +19,8 @@ fn between<'t>(page: &'t str, from: &str, to: &str) -> &'t str {
     rest.split_once(to).unwrap().0
 }
 
-/// Every number of the page's table of quantities and of its cards is the number of the JSON, bit for bit, and none is missing.
+/// Every number of the page's table of quantities and of its cards is the number of the JSON, bit for bit,
+/// and none is missing.
 #[test]
 fn the_page_says_what_the_json_says() {
     let Some(root) = practice("interpixel-crosstalk") else { return };

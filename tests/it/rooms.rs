@@ -118,3 +118,48 @@ fn imports_of_a_source_are_read() {
     assert!(["dataset", "fit", "noise", "number"].iter().all(|m| found.contains(&(*m).into())), "{found:?}");
     assert!(!found.contains(&"emva".into()));
 }
+
+/// Whole-line comments of the packages, with file and line: outside of examples in documentation, which are
+/// code.
+fn comments() -> Vec<(String, String)> {
+    let folders = ["src", "sim/src", "bindings", "benches", "examples", "tests/it"];
+    let mut out = Vec::new();
+    for path in folders.iter().flat_map(|folder| sources(&root().join(folder))) {
+        let text = std::fs::read_to_string(&path).unwrap();
+        let name = path.strip_prefix(root()).unwrap().to_str().unwrap().to_owned();
+        let mut in_example = false;
+        for (number, line) in text.lines().enumerate() {
+            let Some(text) = line.trim_start().strip_prefix("//") else { continue };
+            let fence = text.trim_start_matches(['/', '!']).trim_start().starts_with("```");
+            in_example ^= fence;
+            if !in_example && !fence {
+                out.push((format!("{name}:{}", number + 1), line.to_owned()));
+            }
+        }
+    }
+    out
+}
+
+/// Comments fit beside one another on a screen, and begin with the thing: a noun for types and fields, a verb
+/// for functions. Help texts of the program and of Python, which the packages show, are exempt from the
+/// latter.
+#[test]
+fn comments_are_narrow_and_name_the_thing() {
+    let (mut wide, mut vague) = (Vec::new(), Vec::new());
+    let opening = Regex::new("^ *//[/!]? (What|Whether|Where|Of|How|Which|That|The same|It)\\b").unwrap();
+    let list = Regex::new("^ *//[/!]? +([-|]|\\d+\\.|SAFETY|http| )").unwrap();
+    let all = comments();
+    assert!(all.len() > 10_000, "{}", all.len());
+    for (at, line) in all {
+        if line.chars().count() > 110 && !list.is_match(&line) {
+            wide.push(at.clone());
+        }
+        let is_help =
+            ["src/program/cli/", "bindings/python/", "tests/it/"].iter().any(|of| at.starts_with(of));
+        if opening.is_match(&line) && !is_help {
+            vague.push(at);
+        }
+    }
+    assert!(wide.is_empty(), "comments of more than 110 columns: {wide:#?}");
+    assert!(vague.is_empty(), "comments that begin with a clause: {vague:#?}");
+}

@@ -13,8 +13,8 @@ fn first(json: &Value) -> &str {
     json["missing"][0]["effect"].as_str().unwrap_or_default()
 }
 
-/// The last fifth of a well fills ever more slowly: a full well, whose size and softness come back within four of
-/// their errors, and no nonlinearity. A bend of the amplifier is one still.
+/// The last fifth of a well fills ever more slowly: a full well, whose size and softness come back within
+/// four of their errors, and no nonlinearity. A bend of the amplifier is one still.
 #[test]
 fn a_soft_well_is_a_full_well() {
     let dir = tempfile::tempdir().unwrap();
@@ -32,7 +32,8 @@ fn a_soft_well_is_a_full_well() {
 }
 
 /// A black level of 1.5 deviations of the noise: 2 % of the darks' samples are cut off at code 0, and that is
-/// said. At eight deviations nothing is missing. Four frames a dark, where a lower read noise would fit as well.
+/// said. At eight deviations nothing is missing. Four frames a dark, where a lower read noise would fit as
+/// well.
 #[test]
 fn darks_that_reach_code_0_are_said() {
     for (deviations, named) in [(1.5, "black-clipping"), (8.0, "")] {
@@ -53,9 +54,9 @@ fn darks_that_reach_code_0_are_said() {
     assert_eq!(first(&diagnosed(&dir.path().join("c"))), "black-clipping");
 }
 
-/// One flat level of a colour camera and darks whose level falls while their noise grows (ASI178MC, shared/real):
-/// no curve can be drawn through one level, and none is named; row noise is what numpy finds within three errors,
-/// the clamp and the unequal flats are in the list.
+/// One flat level of a colour camera and darks whose level falls while their noise grows (ASI178MC,
+/// shared/real): no curve can be drawn through one level, and none is named; row noise is what numpy finds
+/// within three errors, the clamp and the unequal flats are in the list.
 #[test]
 fn one_level_of_light_draws_no_curve() {
     let Some(root) = shared("real/asi178") else { return };
@@ -78,8 +79,8 @@ fn one_level_of_light_draws_no_curve() {
     assert!((gain / 1.056 - 1.0).abs() < 0.02, "gain {gain}");
 }
 
-/// Interference that goes on while rows are blanked, and interference in step with the rows: both are named, with
-/// frequency, amplitude and phase between rows within three standard errors.
+/// Interference that goes on while rows are blanked, and interference in step with the rows: both are named,
+/// with frequency, amplitude and phase between rows within three standard errors.
 #[test]
 fn interference_is_found_with_its_line_blanking() {
     for (blanking, shape) in [(0.31, 0.0), (0.0, 1.0)] {

@@ -1,4 +1,5 @@
-//! The simulator as a GigE Vision camera, over loopback through the real libaravis, and Aravis's own programs.
+//! The simulator as a GigE Vision camera, over loopback through the real libaravis, and Aravis's own
+//! programs.
 
 use crate::conformance::suite;
 use crate::support::{calibration, expect, gige_port, radcam, refused, small};
@@ -34,8 +35,8 @@ fn aravis_against_the_served_camera_conforms() {
     suite(&mut camera, &mut GenicamBench::served());
 }
 
-/// Same seed, same conditions: the same pixels, whether drawn here or received over the wire, for every bench state
-/// and format that the features can express.
+/// Same seed, same conditions: the same pixels, whether drawn here or received over the wire, for every bench
+/// state and format that the features can express.
 #[test]
 fn frames_over_the_wire_are_those_drawn_in_process() {
     let _port = gige_port();
@@ -68,7 +69,8 @@ fn frames_over_the_wire_are_those_drawn_in_process() {
             black_level_dn,
             time_s: 0.0,
         };
-        // A client says which frames come next; without that they go on after those of the acquisition before.
+        // A client says which frames come next; without that they go on after those of the acquisition
+        // before.
         let first = 1000 * (1 + drawn);
         camera.set_feature("BenchFrame", &Value::Int(first as i64)).unwrap();
         let mut stream = camera.stream(&StreamOptions::default()).unwrap();
@@ -252,7 +254,8 @@ fn aravis_own_tools_use_the_served_camera() {
     assert!(completed.is_some_and(|n| n > 50), "{text}");
 }
 
-/// What is written beyond the bounds or between the steps reads back as what the camera does, with a client that checks nothing.
+/// What is written beyond the bounds or between the steps reads back as what the camera does, with a client
+/// that checks nothing.
 #[test]
 fn the_served_camera_keeps_to_its_bounds() {
     let _port = gige_port();
@@ -328,7 +331,8 @@ fn older_names_are_found() {
     assert_eq!(camera.features()["GainRaw"], Value::Int(60));
 }
 
-/// A camera with the names of older ones whose gamma cannot be switched off: the capture says so, and the diagnosis names it first.
+/// A camera with the names of older ones whose gamma cannot be switched off: the capture says so, and the
+/// diagnosis names it first.
 #[test]
 fn gamma_that_is_stuck_is_the_first_suspect() {
     let _port = gige_port();
@@ -376,8 +380,8 @@ fn a_calibration_without_binning_does_not_hold_for_a_camera_that_bins() {
     assert!(text.contains("BinningHorizontal is 2, and was 1"), "{text}");
 }
 
-/// A region's position is recorded with the camera's features, and a calibration moves the region back to it: the
-/// pattern of other pixels corrects nothing.
+/// A region's position is recorded with the camera's features, and a calibration moves the region back to it:
+/// the pattern of other pixels corrects nothing.
 #[test]
 fn a_calibration_knows_where_its_region_lay() {
     let _port = gige_port();
@@ -399,7 +403,8 @@ fn a_calibration_knows_where_its_region_lay() {
     assert_eq!(camera.settings().unwrap().region, part);
 }
 
-/// A calibrated camera whose exposure is set by its feature's name follows with its dark reference, and goes back where that does not reach.
+/// A calibrated camera whose exposure is set by its feature's name follows with its dark reference, and goes
+/// back where that does not reach.
 #[test]
 fn a_calibrated_camera_follows_its_features() {
     let _port = gige_port();
@@ -420,7 +425,8 @@ fn a_calibrated_camera_follows_its_features() {
     assert_eq!(corrected.feature("BinningHorizontal").unwrap(), Value::Int(1));
 }
 
-/// Two cameras on one machine, each at its own address; a demo that cannot have its port leaves nothing behind.
+/// Two cameras on one machine, each at its own address; a demo that cannot have its port leaves nothing
+/// behind.
 #[test]
 fn several_cameras_are_served_and_a_taken_port_leaves_no_trace() {
     let _port = gige_port();
@@ -600,8 +606,8 @@ fn a_campaign_over_the_wire_measures_the_same_camera() {
     }
 }
 
-/// The same calibration through the served camera, its bench moved by GenICam features, and in process: the same K to within
-/// their errors, and the same dark reference.
+/// The same calibration through the served camera, its bench moved by GenICam features, and in process: the
+/// same K to within their errors, and the same dark reference.
 #[test]
 fn a_calibration_over_the_wire_gives_the_same_k() {
     use radcam::calibrate::{Estimator, of_dataset};
@@ -634,11 +640,13 @@ fn a_calibration_over_the_wire_gives_the_same_k() {
     let here = capture(&mut camera, &mut bench, "here");
     let mut chi2 = 0.0;
     for ((a, b), (e, f)) in wire.k.iter().zip(&here.k).zip(wire.k_std_err.iter().zip(&here.k_std_err)) {
-        // The card's grain is the same in both: they differ by the noise alone, which is less than the stated errors.
+        // The card's grain is the same in both: they differ by the noise alone, which is less than the stated
+        // errors.
         chi2 += f64::from((a - b).powi(2) / (e * e + f * f)) / wire.k.len() as f64;
     }
     assert!(chi2 < 1.0, "chi-square per pixel {chi2}");
-    // Against the pattern itself, the stated error holds for both: 3072 pixels, five standard errors of the mean of squares.
+    // Against the pattern itself, the stated error holds for both: 3072 pixels, five standard errors of the
+    // mean of squares.
     let truth = &sensor.maps().uniformity;
     for c in [&wire, &here] {
         let z2 = c.k.iter().zip(&c.k_std_err).zip(truth).map(|((k, e), t)| f64::from((k - t) / e).powi(2));
@@ -650,8 +658,8 @@ fn a_calibration_over_the_wire_gives_the_same_k() {
     assert!((off.mapv(|x| x * x).mean().unwrap().sqrt() / error - 1.0).abs() < 0.1);
 }
 
-/// The user's own path: served, found, its exposure searched for, captured, diagnosed. Two cameras as the paper has them, two with something
-/// hidden that has memory of what the search exposed.
+/// The user's own path: served, found, its exposure searched for, captured, diagnosed. Two cameras as the
+/// paper has them, two with something hidden that has memory of what the search exposed.
 #[test]
 fn what_is_captured_over_the_wire_is_judged_right() {
     let _port = gige_port();
@@ -661,8 +669,9 @@ fn what_is_captured_over_the_wire_is_judged_right() {
         radcam(&["demo", "--sensor", sensor, "--hide", hide, "--seed", seed, "-o", folder.to_str().unwrap()])
     };
     for sensor in ["cmos12", "xc77"] {
-        // A busy machine loses a frame now and then, and the noise is then another than the seed's. Three values within 3 sigma and Q of 0.001
-        // turn down a sound camera once in 110: two in a row, once in 12,000.
+        // A busy machine loses a frame now and then, and the noise is then another than the seed's. Three
+        // values within 3 sigma and Q of 0.001 turn down a sound camera once in 110: two in a row, once in
+        // 12,000.
         let first = demo(sensor, "none", "4");
         assert!(
             first.status.success() || demo(sensor, "none", "5").status.success(),
@@ -677,7 +686,8 @@ fn what_is_captured_over_the_wire_is_judged_right() {
     }
 }
 
-/// The plan of the standard over the wire: the reference tool reads what was captured and says the same, and the errors hold what was served.
+/// The plan of the standard over the wire: the reference tool reads what was captured and says the same, and
+/// the errors hold what was served.
 #[test]
 fn an_emva_campaign_over_the_wire_is_the_tools_and_the_truth() {
     let _port = gige_port();
@@ -715,8 +725,9 @@ fn an_emva_campaign_over_the_wire_is_the_tools_and_the_truth() {
     }
 }
 
-/// A calibration that was written into the camera: what any client receives from then on is what the host makes of the raw frames, to one code,
-/// with the defects of the list replaced; a capture has the raw frames again.
+/// A calibration that was written into the camera: what any client receives from then on is what the host
+/// makes of the raw frames, to one code, with the defects of the list replaced; a capture has the raw frames
+/// again.
 #[test]
 fn a_calibration_in_the_camera_corrects_as_the_host_does() {
     use radcam::correct::{Codes, Corrector};

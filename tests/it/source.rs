@@ -1,4 +1,5 @@
-//! The library as another program uses it: cameras by name, one source for what is measured, results as JSON and back.
+//! The library as another program uses it: cameras by name, one source for what is measured, results as JSON
+//! and back.
 
 use radcam::prelude::*;
 use serde::{Serialize, de::DeserializeOwned};

@@ -160,7 +160,8 @@ fn planes_of_ome_tiff_have_their_own_exposures() {
     assert_eq!(dataset.rows()[7].timestamp_s, Some(7.0));
 }
 
-/// Two channels of a stack, of OME without planes and of ImageJ, are two sets: frames of two cameras are no repeats.
+/// Two channels of a stack, of OME without planes and of ImageJ, are two sets: frames of two cameras are no
+/// repeats.
 #[test]
 fn channels_of_stacks_part_sets() {
     let camera = Camera { bits: 12, gain: 0.5, read_noise_e: 2.0, black_dn: 32.0, most_e: 7000.0 };
@@ -175,13 +176,21 @@ fn channels_of_stacks_part_sets() {
         };
         tiff::<Gray16>(&folder.file("flats_20ms.tif"), &of([0.6, 0.3]), &text);
         tiff::<Gray16>(&folder.file("darks_20ms.tif"), &of([0.0, 0.0]), &text);
-        let (said, dataset) = folder.import();
-        let frames: Vec<usize> = dataset.sets().iter().map(|set| set.rows.len()).collect();
-        assert_eq!(frames, [6; 4], "{said}");
+        let said = refused(&["import", &folder.text("in"), "-o", &folder.text("d"), "--yes"]);
+        assert!(said.contains("channel 1 of a file of several"), "{said}");
+        // The sets of one camera are kept.
+        let path = folder.text("d.map.toml");
+        let map = fs::read_to_string(&path).unwrap();
+        let (head, sets) = map.split_once("[[set]]").unwrap();
+        let kept: Vec<&str> = sets.split("[[set]]").filter(|set| !set.contains("channel 1 of")).collect();
+        assert_eq!((sets.split("[[set]]").count(), kept.len()), (4, 2), "{map}");
+        fs::write(&path, format!("{head}[[set]]{}", kept.join("[[set]]"))).unwrap();
+        expect(0, &["import", "--map", &path, "-o", &folder.text("d")]);
+        let dataset = Dataset::open(folder.text("d").as_ref()).unwrap();
         for set in dataset.sets() {
-            let means: Vec<f64> =
-                dataset.read_set(set).unwrap().iter().map(|f| f.mapv(f64::from).mean().unwrap()).collect();
-            assert!(means.iter().all(|mean| (mean - means[0]).abs() < 20.0), "{means:?}");
+            let frames = dataset.read_set(set).unwrap();
+            let means: Vec<f64> = frames.iter().map(|f| f.mapv(f64::from).mean().unwrap()).collect();
+            assert!(means.len() == 6 && means.iter().all(|m| (m - means[0]).abs() < 20.0), "{means:?}");
         }
     }
 }

@@ -1,5 +1,5 @@
-//! Darks and flats that do not belong together: averages of one kind, another black level, lost bits, light in
-//! some darks; sensors of two amplifiers.
+//! Darks and flats that do not belong together: averages of one kind, another black level, lost bits, light
+//! in some darks; sensors of two amplifiers.
 
 use crate::import_cases::{Bench, Camera};
 use crate::support::{expect, radcam};
@@ -38,8 +38,8 @@ impl Hot {
     }
 }
 
-/// A campaign of darks and flats at these exposures, ms, eight frames each, drawn by the function of light and
-/// exposure, e and s; imported. Its path.
+/// A campaign of darks and flats at these exposures, ms, eight frames each, drawn by the function of light
+/// and exposure, e and s; imported. Its path.
 fn campaign(
     bench: &Bench,
     darks_ms: &[f64],
@@ -59,8 +59,8 @@ fn campaign(
 
 const FLATS_MS: [f64; 5] = [5.0, 10.0, 20.0, 30.0, 40.0];
 
-/// Flats that are means of two and of four frames beside single darks, and darks that are means of eight beside
-/// single flats, are named by the charge of the darks; single frames are not.
+/// Flats that are means of two and of four frames beside single darks, and darks that are means of eight
+/// beside single flats, are named by the charge of the darks; single frames are not.
 #[test]
 fn averages_of_one_kind_are_named() {
     for (flats, darks, seed) in [(1, 1, 273), (2, 1, 274), (4, 1, 275), (1, 8, 276)] {
@@ -109,8 +109,8 @@ fn means_of_all_frames_are_named() {
     }
 }
 
-/// Darks of another black level, and darks that lost two bits, beside flats of which none is dim: named, and the
-/// gain is that of the flats.
+/// Darks of another black level, and darks that lost two bits, beside flats of which none is dim: named, and
+/// the gain is that of the flats.
 #[test]
 fn darks_of_another_black_level_are_named_by_bright_flats() {
     for (lost, words, seed) in
@@ -152,8 +152,8 @@ fn a_dark_with_light_in_it_is_left_out() {
     assert!((value - READ_E).abs() < 4.0 * error, "{value} +- {error}");
 }
 
-/// One dark exposure and one of light, two frames each, of twelve cameras: nothing is missing in any. A half of
-/// the frames without flats tells no gain, and is not asked what flats scatter by.
+/// One dark exposure and one of light, two frames each, of twelve cameras: nothing is missing in any. A half
+/// of the frames without flats tells no gain, and is not asked what flats scatter by.
 #[test]
 fn two_frames_of_two_sets_raise_no_alarm() {
     for seed in 280..292 {
@@ -169,8 +169,8 @@ fn two_frames_of_two_sets_raise_no_alarm() {
     }
 }
 
-/// Three columns of 96, beside the middle, that stand at full scale in every frame saturate no set, and make no
-/// step.
+/// Three columns of 96, beside the middle, that stand at full scale in every frame saturate no set, and make
+/// no step.
 #[test]
 fn stuck_columns_saturate_no_set() {
     let (bench, mut hot) = (Bench::new(), Hot::new(292));
@@ -190,8 +190,8 @@ fn stuck_columns_saturate_no_set() {
     }
 }
 
-/// Three exposures of which none saturates: EMVA 1288 wants levels up to 70 % of saturation, which lies beyond
-/// all.
+/// Three exposures of which none saturates: EMVA 1288 wants levels up to 70 % of saturation, which lies
+/// beyond all.
 #[test]
 fn levels_far_from_saturation_all_count() {
     let (bench, mut hot) = (Bench::new(), Hot::new(293));
@@ -208,8 +208,8 @@ fn levels_far_from_saturation_all_count() {
     assert!(json["notes"].to_string().contains("fitted to all 3 levels"), "{}", json["notes"]);
 }
 
-/// A sensor that changes from a quiet to a noisy amplifier between two levels lies on no line: the noise of the
-/// levels together tells it, where that of each alone is too little.
+/// A sensor that changes from a quiet to a noisy amplifier between two levels lies on no line: the noise of
+/// the levels together tells it, where that of each alone is too little.
 #[test]
 fn noise_on_no_line_does_not_agree() {
     for (noisy_dn, agrees, seed) in [(0.0, true, 294), (14.0, false, 295)] {
@@ -227,8 +227,9 @@ fn noise_on_no_line_does_not_agree() {
     }
 }
 
-/// A sensor that merges two amplifiers with gains 1.5 % apart has a step at the level where it changes over: no
-/// lamp is off by the same on one side of a level and by nothing on the other. The law that is said is that step:
+/// A sensor that merges two amplifiers with gains 1.5 % apart has a step at the level where it changes over:
+/// no lamp is off by the same on one side of a level and by nothing on the other. The law that is said is
+/// that step:
 /// 1.5 % of the code, which is up to a tenth more of the signal, since the black level is in the code.
 #[test]
 fn a_step_of_the_response_is_no_lamp() {

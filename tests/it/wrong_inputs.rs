@@ -1,13 +1,13 @@
-//! What a new user gives by mistake: frames of other settings, copies, files in the wrong place. No wrong number
-//! comes with exit code 0.
+//! What a new user gives by mistake: frames of other settings, copies, files in the wrong place. No wrong
+//! number comes with exit code 0.
 
 use crate::frame_headers::{Drawn, Folder, fits};
 use crate::support::{expect, radcam, refused};
 use serde_json::Value;
 use std::fs;
 
-/// A camera, its loose frames in `in`, the dataset `d` and `cal.tiff`; darks of 10 ms and 0.5 s where there are
-/// darks.
+/// A camera, its loose frames in `in`, the dataset `d` and `cal.tiff`; darks of 10 ms and 0.5 s where there
+/// are darks.
 fn calibrated(seed: u64, darks: bool) -> (Folder, Drawn) {
     let (folder, mut camera) = (Folder::new(), Drawn::new(seed, 200.0));
     fs::create_dir(folder.path("in")).unwrap();
@@ -31,7 +31,8 @@ fn calibrated(seed: u64, darks: bool) -> (Folder, Drawn) {
     (folder, camera)
 }
 
-/// Frames that a calibration cannot hold for are refused, and what makes corrected values wrong in part is said.
+/// Frames that a calibration cannot hold for are refused, and what makes corrected values wrong in part is
+/// said.
 #[test]
 fn frames_of_another_exposure_level_or_range_are_told() {
     let (folder, mut camera) = calibrated(41, true);
@@ -72,8 +73,8 @@ fn frames_of_another_exposure_level_or_range_are_told() {
     refuse("stretched_0.02s.fits", &["holds", "the largest code of the calibration's 12 bits is 4095 DN"]);
 }
 
-/// What was corrected is not corrected again; codes that cannot hold the values are told; outputs go where they
-/// were meant.
+/// What was corrected is not corrected again; codes that cannot hold the values are told; outputs go where
+/// they were meant.
 #[test]
 fn corrected_frames_and_outputs_are_what_they_seem() {
     let (folder, mut camera) = calibrated(42, true);

@@ -124,7 +124,8 @@ impl Corrector {
         Ok(out)
     }
 
-    /// A frame as 16-bit codes, `scale` times DN above the dark reference plus `offset`, rounded and clipped; `out` may be the frame itself.
+    /// A frame as 16-bit codes, `scale` times DN above the dark reference plus `offset`, rounded and clipped;
+    /// `out` may be the frame itself.
     #[pyo3(signature = (frame, scale=1.0, offset=0.0, out=None))]
     fn correct_codes<'py>(
         &self,

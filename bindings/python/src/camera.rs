@@ -129,7 +129,8 @@ impl Camera {
         self.with(py, |c| c.set_feature(name, &value)).map(drop)
     }
 
-    /// Sets the light before a simulated camera of this process, relative to its bench's unit, and which part of the card it sees.
+    /// Sets the light before a simulated camera of this process, relative to its bench's unit, and which part
+    /// of the card it sees.
     #[pyo3(signature = (illumination, configuration=0))]
     fn set_light(&self, py: Python<'_>, illumination: f64, configuration: u32) -> PyResult<()> {
         if !(illumination.is_finite() && illumination >= 0.0) {

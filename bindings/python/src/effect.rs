@@ -369,8 +369,8 @@ fn kept(text: String) -> &'static str {
     Box::leak(text.into_boxed_str())
 }
 
-/// Makes an effect known to all verbs in this process. (name, meaning, unit, min, max, starts) of every parameter; the page's texts are what,
-/// equation, signature, look_alikes, remedy, measure, source.
+/// Makes an effect known to all verbs in this process. (name, meaning, unit, min, max, starts) of every
+/// parameter; the page's texts are what, equation, signature, look_alikes, remedy, measure, source.
 #[pyfunction]
 #[allow(clippy::type_complexity)]
 fn register(

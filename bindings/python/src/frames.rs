@@ -90,8 +90,8 @@ impl Dataset {
     }
 }
 
-/// Sums of the codes of every pixel and of their squares: whole numbers, so that any split of the frames gives
-/// the same bits.
+/// Sums of the codes of every pixel and of their squares: whole numbers, so that any split of the frames
+/// gives the same bits.
 #[pyclass(module = "radcam")]
 pub struct Moments {
     sums: Sums,

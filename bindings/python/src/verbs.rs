@@ -225,8 +225,8 @@ fn plan(name: &str) -> PyResult<Plan> {
     Plan::from_toml(&text).map_err(Raised::raised)
 }
 
-/// Captures a plan with a camera or, where `model` is given, a simulated one of it with `seed`; `resume` goes on
-/// with one that was ended.
+/// Captures a plan with a camera or, where `model` is given, a simulated one of it with `seed`; `resume` goes
+/// on with one that was ended.
 #[pyfunction]
 #[pyo3(signature = (camera, output, plan_name="standard", region=None, full_exposure_s=None, model=None, seed=None, resume=false, progress=None))]
 #[allow(clippy::too_many_arguments)] // as many as the verb has

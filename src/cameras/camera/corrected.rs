@@ -157,8 +157,8 @@ impl<C: Camera> Camera for Corrected<C> {
     }
 
     fn set_region(&mut self, region: Region) -> Result<Region, CameraError> {
-        // A calibration of an earlier version states no position of its region: only the region at construction
-        // is accepted.
+        // A calibration of an earlier version states no position of its region: only the region at
+        // construction is accepted.
         let now = self.camera.settings()?.region;
         if region == now {
             return Ok(now);

@@ -190,8 +190,8 @@ impl Law {
         ((p.value - self.at(&p.factors)) / self.std(p)).abs()
     }
 
-    /// Returns the difference of two held-out points minus the law's, and its standard deviation: that of both
-    /// points and of the prediction (Bishop 2006, eq. 3.59, at the difference of the factors).
+    /// Returns the difference of two held-out points minus the law's, and its standard deviation: that of
+    /// both points and of the prediction (Bishop 2006, eq. 3.59, at the difference of the factors).
     pub fn difference_of(&self, a: &Point, b: &Point) -> (f64, f64) {
         let factors: Vec<f64> = a.factors.iter().zip(&b.factors).map(|(a, b)| a - b).collect();
         let off = a.value - b.value - self.at(&factors);
@@ -233,9 +233,9 @@ mod tests {
         assert!(false_ones.count() <= 3);
     }
 
-    /// RMS of the difference of two held-out points, in its standard deviations, over 4000 campaigns of 16 points
-    /// at their nominal scatter: 1.05, for Student's t with 13 degrees of freedom and a scale known like 3 more.
-    /// The tolerance is four standard errors.
+    /// RMS of the difference of two held-out points, in its standard deviations, over 4000 campaigns of 16
+    /// points at their nominal scatter: 1.05, for Student's t with 13 degrees of freedom and a scale known
+    /// like 3 more. The tolerance is four standard errors.
     #[test]
     fn a_difference_of_held_out_points_has_its_error() {
         for (a, b) in [(0.3, 0.3), (0.2, 0.9)] {

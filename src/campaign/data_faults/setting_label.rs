@@ -61,8 +61,8 @@ struct Factors {
     vary: (bool, bool),
 }
 
-/// Standard deviations of the priors (named choices): level, exponent of the response about 1, its change, offset
-/// at the lowest light, compression at the highest (two terms), exposure offset, drift of the lamp.
+/// Standard deviations of the priors (named choices): level, exponent of the response about 1, its change,
+/// offset at the lowest light, compression at the highest (two terms), exposure offset, drift of the lamp.
 const PRIORS: [f64; 8] = [1e3, 0.15, 0.03, 0.03, 0.05, 0.05, 0.05, 0.006];
 /// Standard deviations of the priors for a straight line: its ends are free, the middle is not (named
 /// choices).

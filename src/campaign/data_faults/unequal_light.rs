@@ -9,9 +9,9 @@ const MIN_SIGMAS: f64 = 8.0;
 /// Minimum difference in light relative to the signal: undisturbed lamps stay within it (a named
 /// choice).
 const MIN_RELATIVE_DIFFERENCE: f64 = 0.005;
-/// Minimum deviation of each of several pairs that differ alike, in standard deviations (a named choice, as the
-/// next four: by chance at most three of 20000 campaigns of 18 pairs under a lamp of normal flicker meet them
-/// all).
+/// Minimum deviation of each of several pairs that differ alike, in standard deviations (a named choice, as
+/// the next four: by chance at most three of 20000 campaigns of 18 pairs under a lamp of normal flicker meet
+/// them all).
 const MIN_SIGMAS_OF_EACH: f64 = 4.0;
 /// Minimum number of such pairs.
 const MIN_PAIRS_ALIKE: usize = 3;

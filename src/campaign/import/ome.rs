@@ -201,6 +201,7 @@ fn plane(ome: &Ome, plane: &BTreeMap<String, String>) -> Facts {
     if ome.size('C') > 1 {
         let name = ome.channels.get(channel).filter(|n| !n.is_empty());
         out.filter = Some(name.cloned().unwrap_or_else(|| format!("channel {channel}")));
+        out.doubts.extend(doubt_of_channel(channel));
     }
     out
 }
@@ -219,9 +220,18 @@ fn channels_of_imagej(text: &str, pages: &[usize]) -> BTreeMap<usize, Facts> {
         return BTreeMap::new();
     };
     let of = |(place, page): (usize, &usize)| {
-        (*page, Facts { filter: Some(format!("channel {}", place % channels)), ..Facts::default() })
+        let channel = place % channels;
+        let doubts = doubt_of_channel(channel).into_iter().collect();
+        (*page, Facts { filter: Some(format!("channel {channel}")), doubts, ..Facts::default() })
     };
     pages.iter().enumerate().map(of).collect()
+}
+
+/// Returns the question that channels of a file raise, all but the first.
+fn doubt_of_channel(channel: usize) -> Option<String> {
+    (channel > 0).then(|| {
+        format!("frames: channel {channel} of a file of several: another camera or filter? Keep the sets of one camera")
+    })
 }
 
 /// Reads the facts of the pages of an OME-TIFF or an ImageJ hyperstack; empty for any other file.

@@ -337,8 +337,8 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     sizes.is_empty() || sizes.iter().any(|&k| is_there(k) && is_known(values[k], errors[k]))
 }
 
-/// Tests an effect by the drop in chi-square of its own statistics, for effects of which only a combination of
-/// parameters is known. Errors are those of the fit without the effect: enlarging them gains nothing.
+/// Tests an effect by the drop in chi-square of its own statistics, for effects of which only a combination
+/// of parameters is known. Errors are those of the fit without the effect: enlarging them gains nothing.
 pub fn is_told(
     all: &Observations,
     without: &Fitted,
@@ -485,8 +485,8 @@ pub fn search(all: &Observations, model: &Fitted, far: bool, progress: &mut dyn 
         let found = search_without(all, model, far, &not, &memo, progress);
         let seen = seen(all, &found.fitted.base);
         let added = model.effects.len()..found.fitted.effects.len();
-        // An effect fitted beside others may end at values at which it is another one, at an end of its range, or
-        // at a size that is nothing within its errors.
+        // An effect fitted beside others may end at values at which it is another one, at an end of its
+        // range, or at a size that is nothing within its errors.
         let told = |i: usize, effect: &'static dyn Effect| {
             !effect.told_by().is_empty()
                 && is_told(all, &without(all, &found.fitted, i), &found.fitted, effect, &seen)

@@ -208,12 +208,12 @@ struct Unseen<'a> {
 }
 
 /// Minimum error of an open level, as a part of a code and of the signal (named choices). The noise of a
-/// digitised signal follows the place between two codes, so linear error propagation fails that far off (Widrow
-/// and Kollar 2008, ch. 4).
+/// digitised signal follows the place between two codes, so linear error propagation fails that far off
+/// (Widrow and Kollar 2008, ch. 4).
 const OPEN: (f64, f64) = (0.25, 0.05);
 
-/// Minimum error of an open variance, as a part of it (a named choice): every other statistic of the set scatters
-/// by the noise, and a half of the frames without flats tells no gain.
+/// Minimum error of an open variance, as a part of it (a named choice): every other statistic of the set
+/// scatters by the noise, and a half of the frames without flats tells no gain.
 const OPEN_NOISE: f64 = 0.25;
 
 impl<'a> Unseen<'a> {
@@ -437,8 +437,9 @@ pub struct OfStatistic {
     pub excess: f64,
 }
 
-/// Allowed excess of a statistic's standardised residuals over chance, since errors are predicted to some per cent and parameters
-/// were fitted: the sum of their squares by a quarter, their mean by a fifth of its deviation.
+/// Allowed excess of a statistic's standardised residuals over chance, since errors are predicted to some per
+/// cent and parameters were fitted: the sum of their squares by a quarter, their mean by a fifth of its
+/// deviation.
 pub(super) const SLACK_OF_SQUARES: f64 = 1.25;
 /// See [`SLACK_OF_SQUARES`].
 pub(super) const SLACK_OF_MEAN: f64 = 1.2;
@@ -481,7 +482,8 @@ fn p_value(residuals: &[Residual]) -> (f64, Option<String>) {
     if n < 1.0 {
         return (f64::NAN, None);
     }
-    // Errors are known to some per cent and parameters are fitted: the squares scatter a little more than a chi-square.
+    // Errors are known to some per cent and parameters are fitted: the squares scatter a little more than a
+    // chi-square.
     let squares: f64 = residuals.iter().map(|r| r.independent_z * r.independent_z).sum();
     let z = (squares - n * 1.05) / (2.0 * n * 1.3).sqrt();
     let whole = 0.5 * statrs::function::erf::erfc(z / std::f64::consts::SQRT_2);

@@ -1,5 +1,5 @@
-//! Tests of the noise over the level, sigma^2 = A mu + sigma_C^2 (Healey and Kondepudy 1994, eq. 41): residuals
-//! of single sets that are too small to show add up over all sets.
+//! Tests of the noise over the level, sigma^2 = A mu + sigma_C^2 (Healey and Kondepudy 1994, eq. 41):
+//! residuals of single sets that are too small to show add up over all sets.
 
 use super::fit::{Fitted, halves};
 use super::judge::{SLACK_OF_MEAN, SLACK_OF_SQUARES};
@@ -99,8 +99,8 @@ mod tests {
     use super::*;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// Sixteen sets from dark to 4000 DN whose residuals are normal and have a bend of this many standard errors
-    /// at the top.
+    /// Sixteen sets from dark to 4000 DN whose residuals are normal and have a bend of this many standard
+    /// errors at the top.
     fn points(seed: u64, bend: f64) -> Vec<Point> {
         let at = |k: usize| {
             let level_dn = 4000.0 * k as f64 / 15.0;

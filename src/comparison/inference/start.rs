@@ -10,8 +10,8 @@ use radcam_sim::predict::{BaseParameters, Monitor};
 /// contains too much of black level and dark variance.
 const DIM: f64 = 0.02;
 
-/// Largest relative variance of the pixels' read-noise variances: one pixel in a hundred with ten times the noise
-/// of the others has 25.
+/// Largest relative variance of the pixels' read-noise variances: one pixel in a hundred with ten times the
+/// noise of the others has 25.
 pub(super) const MOST_SPREAD: f64 = 1e3;
 
 /// Makes a first guess of the paper's parameters.
@@ -179,8 +179,8 @@ fn zero_and_dark(all: &Observations) -> (f64, f64) {
     }
 }
 
-/// Returns true for darks of one exposure that is far longer than those of the flats: their level is offset and
-/// dark charge, and only the flats tell how much of each.
+/// Returns true for darks of one exposure that is far longer than those of the flats: their level is offset
+/// and dark charge, and only the flats tell how much of each.
 fn are_long(all: &Observations, exposure_s: f64) -> bool {
     let of_flats = |(set, _): (usize, f64)| all.campaign.sets[set].exposure_s;
     let longest = values(all, &mean::Mean, Some(Kind::Flat)).map(of_flats).fold(0.0, f64::max);

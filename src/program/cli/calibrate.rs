@@ -24,12 +24,12 @@ pub struct Arguments {
     /// The calibration file
     #[arg(short, long, value_name = "CAL.tiff")]
     output: PathBuf,
-    /// joint: each light a smooth surface; paper: each light the mean over a window; smooth: one configuration
-    /// is enough, and K then contains the card and the lamp's fine structure
+    /// joint: each light a smooth surface; paper: each light the mean over a window; smooth: one
+    /// configuration is enough, and K then contains the card and the lamp's fine structure
     #[arg(long, default_value = "joint", value_parser = ["joint", "paper", "smooth"])]
     estimator: String,
-    /// Flat-field correction: (I - D) / (F - D) times its mean. Lens shading, lamp and card are taken off with
-    /// the fixed pattern; flats of one position are enough
+    /// Flat-field correction: (I - D) / (F - D) times its mean. Lens shading, lamp and card are taken off
+    /// with the fixed pattern; flats of one position are enough
     #[arg(long, conflicts_with = "estimator")]
     flat_field: bool,
     /// paper: side of the window, pixels, an odd number [default: 9]

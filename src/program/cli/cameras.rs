@@ -8,7 +8,8 @@ use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// Write a report for remote support: description, feature values, registers, lost packets, what a capture would switch off
+    /// Write a report for remote support: description, feature values, registers, lost packets, what a
+    /// capture would switch off
     #[arg(long, value_name = "ID", requires = "output")]
     report: Option<String>,
     /// The report, a JSON file

@@ -14,7 +14,8 @@ use std::time::Duration;
 pub struct Arguments {
     #[arg(long, help = crate::camera::names())]
     camera: String,
-    /// quick, standard (the default), emva1288, or a plan file; a resumed capture has its own, and may name it again
+    /// quick, standard (the default), emva1288, or a plan file; a resumed capture has its own, and may name
+    /// it again
     #[arg(long)]
     plan: Option<String>,
     /// Folder of the new dataset

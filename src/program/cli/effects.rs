@@ -25,8 +25,8 @@ pub struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Turn the law that describes a campaign into an effect of your own, which every later diagnosis knows by
-    /// name
+    /// Turn the law that describes a campaign into an effect of your own, which every later diagnosis knows
+    /// by name
     New(New),
 }
 

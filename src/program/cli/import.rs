@@ -33,11 +33,12 @@ pub struct Arguments {
     /// Bits of a code; else the fewest of 8, 10, 12, 14, 16 that hold the largest code
     #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u8).range(1..=16))]
     bit_depth: Option<u8>,
-    /// Of raw Bayer frames: row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is kept; 0,0 is R of RGGB
+    /// Of raw Bayer frames: row and column, 0 or 1, of the one pixel of every 2 x 2 cell that is kept; 0,0 is
+    /// R of RGGB
     #[arg(long, value_name = "ROW,COLUMN", value_parser = plane, conflicts_with = "map")]
     plane: Option<[u8; 2]>,
-    /// Axis of NumPy arrays and HDF5 datasets that counts the frames: 0, 1 or 2; else the first, and for NumPy a
-    /// question where the pixels speak for another
+    /// Axis of NumPy arrays and HDF5 datasets that counts the frames: 0, 1 or 2; else the first, and for
+    /// NumPy a question where the pixels speak for another
     #[arg(long, value_name = "AXIS", value_parser = clap::value_parser!(u8).range(0..=2), conflicts_with = "map")]
     frames_axis: Option<u8>,
     /// Dataset of frames in HDF5 files, such as /entry/data/data; else the only one that can be
@@ -49,8 +50,8 @@ pub struct Arguments {
     /// Print where each value comes from
     #[arg(long)]
     explain: bool,
-    /// Keep raw Bayer frames whole: their colour pattern (RGGB, BGGR, GRBG, GBRG); or mono, where the sensor has
-    /// no colour filter
+    /// Keep raw Bayer frames whole: their colour pattern (RGGB, BGGR, GRBG, GBRG); or mono, where the sensor
+    /// has no colour filter
     #[arg(long, value_name = "PATTERN", value_parser = pattern, conflicts_with_all = ["map", "plane"])]
     pattern: Option<String>,
     /// Do not ask

@@ -7,8 +7,8 @@ use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// Statistics of parts of one campaign, of `radcam reduce`; where their frames lie is known, and those that
-    /// were reduced without the look of the whole campaign are read again
+    /// Statistics of parts of one campaign, of `radcam reduce`; where their frames lie is known, and those
+    /// that were reduced without the look of the whole campaign are read again
     #[arg(required = true, value_name = "STATS")]
     parts: Vec<PathBuf>,
     /// The statistics of all, a new file

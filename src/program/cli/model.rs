@@ -37,7 +37,8 @@ enum Action {
         /// The model file
         model: PathBuf,
     },
-    /// Add an effect, with values where given; a fit finds the others. Or the law that describes what has no name
+    /// Add an effect, with values where given; a fit finds the others. Or the law that describes what has no
+    /// name
     Add {
         /// The model file
         model: PathBuf,

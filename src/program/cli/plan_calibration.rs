@@ -15,7 +15,8 @@ use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// A pilot already captured: darks, flats at several levels, three configurations or more (one for smooth)
+    /// A pilot already captured: darks, flats at several levels, three configurations or more (one for
+    /// smooth)
     #[arg(required_unless_present = "camera")]
     pilot: Option<PathBuf>,
     #[command(flatten)]
@@ -29,12 +30,12 @@ pub struct Arguments {
     /// The plan that `capture` runs
     #[arg(short, long, value_name = "PLAN.toml")]
     output: PathBuf,
-    /// Standard error of K wanted, relative, such as 0.001; where not given, K keeps as many bits as the converter has, as in the paper,
-    /// which takes very many frames of a camera of 12 bits
+    /// Standard error of K wanted, relative, such as 0.001; where not given, K keeps as many bits as the
+    /// converter has, as in the paper, which takes very many frames of a camera of 12 bits
     #[arg(long, value_name = "ERROR", value_parser = above_0)]
     k_error: Option<f64>,
-    /// Estimator of `calibrate`: joint or paper, which need several configurations, or smooth, for which one is
-    /// enough
+    /// Estimator of `calibrate`: joint or paper, which need several configurations, or smooth, for which one
+    /// is enough
     #[arg(long, default_value = "joint", value_parser = ["joint", "paper", "smooth"])]
     estimator: String,
     /// Write over a plan that is there

@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// Parts of one campaign: dataset folders or EMVA 1288 descriptors whose frames have the set and index of the campaign, or statistics
+    /// Parts of one campaign: dataset folders or EMVA 1288 descriptors whose frames have the set and index of
+    /// the campaign, or statistics
     #[arg(required = true, value_name = "PART")]
     parts: Vec<PathBuf>,
     #[command(flatten)]
@@ -31,7 +32,7 @@ pub struct Arguments {
 }
 
 pub fn run(a: &Arguments) -> Result<Outcome> {
-    let plan = a.plan.as_deref().map(Dataset::open).transpose()?;
+    let plan = a.plan.as_deref().map(reduction::open).transpose()?;
     let parts = a.parts.iter().map(|p| a.colour.open(p)).collect::<Result<_>>()?;
     write(parts, &a.output, a.overwrite, Options { plan, look_only: a.look })
 }

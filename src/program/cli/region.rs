@@ -21,7 +21,8 @@ pub struct RegionArguments {
     /// The region: first column, first row, width, height, px; the whole image where not given
     #[arg(long, value_name = "X,Y,W,H", value_parser = roi)]
     pub roi: Option<Roi>,
-    /// Exposure of the images, s; what they or their dataset say where not given, else that of the calibration's darks
+    /// Exposure of the images, s; what they or their dataset say where not given, else that of the
+    /// calibration's darks
     #[arg(long, value_parser = above_0)]
     pub exposure_s: Option<f64>,
     /// Go on although the calibration was made under other settings

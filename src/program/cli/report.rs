@@ -23,7 +23,8 @@ pub struct Arguments {
     /// Effects that are known already; the paper's model alone where not given
     #[arg(long, value_name = "M.toml|SENSOR")]
     model: Option<PathBuf>,
-    /// Calibration of the camera: its dark reference, K and defects are shown in place of the campaign's own images
+    /// Calibration of the camera: its dark reference, K and defects are shown in place of the campaign's own
+    /// images
     #[arg(long, value_name = "CAL.tiff")]
     cal: Option<PathBuf>,
     /// The page

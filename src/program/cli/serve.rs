@@ -20,8 +20,9 @@ pub struct Arguments {
     #[cfg(feature = "aravis")]
     #[arg(long, value_enum, default_value = "current")]
     feature_names: crate::serve::Names,
-    /// A feature that is stuck at a value, such as Gamma=0.6 (Gamma, LUTEnable, SharpeningEnable, DefectCorrectStaticEnable, FlatFieldCorrectionMode, TestPattern,
-    /// BinningHorizontal, BinningVertical); may be given several times
+    /// A feature that is stuck at a value, such as Gamma=0.6 (Gamma, LUTEnable, SharpeningEnable,
+    /// DefectCorrectStaticEnable, FlatFieldCorrectionMode, TestPattern, BinningHorizontal, BinningVertical);
+    /// may be given several times
     #[arg(long, value_name = "NAME=VALUE")]
     stuck: Vec<String>,
     /// Share of its packets that the camera loses, 0 to 1

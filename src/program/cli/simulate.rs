@@ -13,7 +13,8 @@ use std::path::PathBuf;
 pub struct Arguments {
     /// A sensor (xc77, cmos12, ccd16, imx250...; `radcam cameras` lists them) or a model file
     sensor: String,
-    /// quick, standard (the default), emva1288, or a plan file; a resumed run has its own, and may name it again
+    /// quick, standard (the default), emva1288, or a plan file; a resumed run has its own, and may name it
+    /// again
     #[arg(long)]
     plan: Option<String>,
     /// Folder of the new dataset

@@ -34,7 +34,8 @@ pub struct Arguments {
     /// IPv4 address of the network interface to offer them on
     #[arg(long, default_value = "127.0.0.1", requires = "serve_as")]
     interface: std::net::Ipv4Addr,
-    /// 16-bit codes, SCALE times DN plus OFFSET; otherwise codes are the camera's own: one for a DN, its black level, none above its full scale
+    /// 16-bit codes, SCALE times DN plus OFFSET; otherwise codes are the camera's own: one for a DN, its
+    /// black level, none above its full scale
     #[arg(long, value_name = "SCALE,OFFSET", value_parser = codes)]
     codes: Option<Codes>,
     /// Replace hot, dead and unstable pixels of the calibration by the mean of the nearest sound ones

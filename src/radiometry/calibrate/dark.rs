@@ -56,7 +56,8 @@ pub enum DarkError {
 }
 
 impl DarkReference {
-    /// Fits offset and dark current of every pixel to means at one or more exposures, for use at `exposure_s`.
+    /// Fits offset and dark current of every pixel to means at one or more exposures, for use at
+    /// `exposure_s`.
     ///
     /// Exposures have the same weights for all pixels: frames over the pooled temporal variance.
     ///

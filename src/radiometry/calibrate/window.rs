@@ -167,7 +167,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A plane is its own mean everywhere, edges and corners included; the stated variance is that of the weights.
+    /// A plane is its own mean everywhere, edges and corners included; the stated variance is that of the
+    /// weights.
     #[test]
     fn a_slope_is_not_bent_at_the_edges() {
         let plane = Array2::from_shape_fn((30, 40), |(y, x)| 100.0 + 3.0 * y as f32 - 2.0 * x as f32);

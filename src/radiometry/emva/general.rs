@@ -21,7 +21,8 @@ pub struct General {
     /// Quantities by name: R_d, u_p_min, u_p_sat, DR, DR_dB, SNR_max, SNR_max_dB, sigma_y_dark, sigma_d,
     /// u_I_mean, DSNU1288, PRNU1288; null where undefined.
     pub quantities: BTreeMap<String, Option<Quantity>>,
-    /// Input signal-to-noise ratio of every level up to saturation: photons, SNR_p (eq. 10), and with spatial nonuniformity (eq. 60).
+    /// Input signal-to-noise ratio of every level up to saturation: photons, SNR_p (eq. 10), and with spatial
+    /// nonuniformity (eq. 60).
     pub snr: Vec<(f64, f64, f64)>,
 }
 

@@ -23,7 +23,8 @@ pub struct Pair {
     pub var_dn2: f64,
     /// Mean of the first frame minus that of the second, DN.
     pub difference_dn: f64,
-    /// Variance over the pixels of a single frame, mean of the two, DN^2 (eq. 17): temporal and spatial together.
+    /// Variance over the pixels of a single frame, mean of the two, DN^2 (eq. 17): temporal and spatial
+    /// together.
     pub single_var_dn2: f64,
     /// Share of the samples at 0 DN.
     pub zero_share: f64,

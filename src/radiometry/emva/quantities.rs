@@ -21,8 +21,8 @@ use radcam_sim::rng::{PixelRng, Stream};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Minimum number of samples that stand far off, over the pixels of a frame, for a note (a named choice): one at
-/// full scale in 10,000 pixels doubles the variance of a pair.
+/// Minimum number of samples that stand far off, over the pixels of a frame, for a note (a named choice): one
+/// at full scale in 10,000 pixels doubles the variance of a pair.
 const MIN_STRUCK_SHARE: f64 = 1e-4;
 
 /// Minimum difference of two gains that is reported, relative, and in standard errors (named choices).

@@ -8,10 +8,10 @@ use crate::number::Quantity;
 /// Computes the variance of a level's variance at the fitted line.
 ///
 /// For independent pixels with variances sigma_p^2 and fourth cumulants k_p, the residual mean square over n
-/// frames and M pixels has variance 2 mean(sigma_p^4) / ((n - 1) (M - 1)) + mean(k_p) / (n M) (Kendall and Stuart,
-/// vol. 1, chapter 12, for one pixel). Over a field whose means have the variance V, mean(sigma_p^4) = sigma^4 + A^2 V.
-/// A Poisson number of mean lambda has the fourth cumulant lambda, so the charge gives A^4 lambda = A^3 mu;
-/// quantisation gives -q^4 / 120.
+/// frames and M pixels has variance 2 mean(sigma_p^4) / ((n - 1) (M - 1)) + mean(k_p) / (n M) (Kendall and
+/// Stuart, vol. 1, chapter 12, for one pixel). Over a field whose means have the variance V, mean(sigma_p^4)
+/// = sigma^4 + A^2 V. A Poisson number of mean lambda has the fourth cumulant lambda, so the charge gives A^4
+/// lambda = A^3 mu; quantisation gives -q^4 / 120.
 pub(super) fn variance_of_variance(p: &Point, gain: f64, constant: f64) -> f64 {
     let mean = p.mean_dn.max(0.0);
     let sigma2 = (gain * mean + constant).max(1e-12);

@@ -154,7 +154,8 @@ pub struct NoiseReport {
 const MAX_SHARED: f64 = 0.05;
 
 impl NoiseReport {
-    /// Agreement of the levels with a line of nonnegative constant noise. Without degrees of freedom it holds.
+    /// Agreement of the levels with a line of nonnegative constant noise. Without degrees of freedom it
+    /// holds.
     pub fn agreement(&self) -> Agreement {
         if self.constant_noise_is_negative() { Agreement::Fails } else { self.line() }
     }

@@ -133,7 +133,8 @@ pub struct Study {
     pub decisive: Vec<Plot>,
     /// All statistics against the level.
     pub statistics: Vec<Plot>,
-    /// Correlations of the noise with neighbours: (rows, columns) apart, value and standard error, mean over the flats.
+    /// Correlations of the noise with neighbours: (rows, columns) apart, value and standard error, mean over
+    /// the flats.
     pub neighbours: Vec<((i32, i32), f64, f64)>,
     /// Dark image and response.
     pub images: Images,

@@ -8,7 +8,8 @@ use std::path::Path;
 /// Changes of each file of the corpus.
 const CHANGES: u32 = 150;
 
-/// As `tests/fuzz/run` found them, every file of the corpus of every target, cut short, and with bytes changed, doubled and taken out.
+/// As `tests/fuzz/run` found them, every file of the corpus of every target, cut short, and with bytes
+/// changed, doubled and taken out.
 #[test]
 fn the_corpus_and_changes_of_it_are_taken_or_refused() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus");

@@ -1,4 +1,5 @@
-//! Everything that reads what others wrote, each as a function of bytes that must not panic, hang or take memory that a header claims.
+//! Everything that reads what others wrote, each as a function of bytes that must not panic, hang or take
+//! memory that a header claims.
 
 use radcam::calibrate::file::Calibration;
 use radcam::dataset::{Dataset, Manifest, image, table::Table};

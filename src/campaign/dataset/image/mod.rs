@@ -91,7 +91,8 @@ pub(crate) struct Stack {
     pub(crate) first: usize,
     /// Number of frames.
     pub(crate) frames: usize,
-    /// Image keys of the frames (NXtomo): 0 projection, 1 flat, 2 dark, 3 invalid; empty where there are none.
+    /// Image keys of the frames (NXtomo): 0 projection, 1 flat, 2 dark, 3 invalid; empty where there are
+    /// none.
     pub(crate) keys: Vec<i64>,
     /// Named values of all frames, with units.
     pub(crate) said: Vec<(String, String)>,

@@ -259,7 +259,8 @@ pub const TARGETS: &[Target] = &[
     Target { name: "mean", words: "level", kind: Kind::Level, parts: &[("mean", 1.0)], adds: false },
 ];
 
-/// Way in which a law grows. Levels are divided by 1000 DN, so that formulas read the same in every campaign and
+/// Way in which a law grows. Levels are divided by 1000 DN, so that formulas read the same in every campaign
+/// and
 /// `k` is the size at that level.
 #[derive(Debug, Clone, Copy)]
 pub struct Shape {
