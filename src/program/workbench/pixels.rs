@@ -143,7 +143,9 @@ pub struct After {
 pub async fn live(State(shared): State<Arc<Shared>>, Query(q): Query<After>) -> Response {
     let Some(live) = shared.live() else { return refused("there is no camera") };
     let Some(p) = live.picture(q.after).await else {
-        let error = live.state().2.unwrap_or_else(|| "no picture within 5 s".into());
+        let (settings, _, error) = live.state();
+        let waited = crate::camera::patience(settings.map_or(0.0, |s| s.exposure_s));
+        let error = error.unwrap_or_else(|| format!("no picture within {:.0} s", waited.as_secs_f64()));
         return (StatusCode::SERVICE_UNAVAILABLE, format!("{error}\n")).into_response();
     };
     let drawn = aside(move || {
