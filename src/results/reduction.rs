@@ -13,7 +13,7 @@
 //!
 //! The file is a line `radcam statistics 1`, a CBOR item (RFC 8949) and the SHA-256 of both.
 
-use crate::data_faults::{SetFacts, examined, facts_of};
+use crate::data_faults::{SetFacts, examined, facts_of, rows_with_text};
 use crate::dataset::{
     Dataset, DatasetError, FrameRow, HEAD, Key, Manifest, Reduced, Set, is_statistics, write_whole,
 };
@@ -115,6 +115,16 @@ fn kept_facts(
     stop: &AtomicBool,
 ) -> Result<Reduced, ObserveError> {
     let all = facts_of(dataset, stop)?;
+    // Parts of a campaign need not show the text alike: statistics are of whole frames.
+    if let Some(rows) = rows_with_text(dataset, &all) {
+        let message = format!(
+            "rows {} to {} change from frame to frame as text does, such as a time stamp, and statistics are of whole frames: switch the overlay \
+             off; noise and diagnose leave these rows of the frames out",
+            rows.start,
+            rows.end - 1
+        );
+        return Err(DatasetError::Manifest { path: dataset.root().into(), message }.into());
+    }
     let sets = dataset.sets().iter().zip(all).filter(|(set, _)| wanted(set));
     Ok(sets.map(|(set, facts)| (Key::first(dataset, set, usize::MAX), facts)).collect())
 }

@@ -59,6 +59,10 @@ fn darks_in_another_unit_are_asked() {
         let said = bench.refused(folder);
         assert!(said.contains("in the one and") && said.contains("0.002 s"), "{said}");
     }
+    // Darks whose level rises are as long as they say.
+    let long = [("dark_2s", 0.0, 2.0), ("dark_10s", 800.0, 0.01)];
+    campaign(&bench, "rising", &long.into_iter().chain(flats).collect::<Vec<_>>());
+    assert_eq!(sets(&bench.import("rising", &[]).0).len(), 5);
     // Long darks of exposures of their own are those of a dark current.
     let darks = [("dark_2ms", 0.0, 0.002), ("dark_2s", 0.0, 2.0), ("dark_10s", 0.0, 10.0)];
     campaign(&bench, "long", &darks.into_iter().chain(flats).collect::<Vec<_>>());

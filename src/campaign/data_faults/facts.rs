@@ -72,6 +72,9 @@ pub struct SetFacts {
     /// versions.
     #[serde(default)]
     pub jumping: Vec<u32>,
+    /// Pixels of the first frame of a dark that are as bright as text; none in files of earlier versions.
+    #[serde(default)]
+    pub bright: Vec<u32>,
     /// Parts of frames with data of an earlier frame.
     #[serde(default)]
     pub old_data: Vec<OldData>,
@@ -137,6 +140,7 @@ impl SetFacts {
             && self.cells_dn.len() == n
             && (self.zeros.is_empty() || self.zeros.len() == n)
             && self.cells_dn.iter().all(|c| c.len() == cells)
+            && self.jumping.iter().chain(&self.bright).all(|pixel| (*pixel as usize) < shape.0 * shape.1)
     }
 }
 
@@ -184,7 +188,8 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
     let (mut clipped, mut odd) = (0usize, 0u64);
     let mut occurring = Occurring::default();
     let mut cells = CellVariances::default();
-    let mut hot = (dataset.settings(set).kind == Kind::Dark).then(HotPixels::default);
+    let kind = dataset.settings(set).kind;
+    let mut hot = (kind == Kind::Dark).then(HotPixels::default);
     for frames in in_blocks(dataset, set, stop) {
         let (frames, struck) = frames?;
         out.struck_pixels.extend(struck.into_iter().map(|pixel| pixel as u32));
@@ -211,7 +216,10 @@ pub(super) fn of_set(dataset: &Dataset, set: &Set, stop: &AtomicBool) -> Result<
             odd += sent.iter().map(|v| u64::from(v & 1)).sum::<u64>();
             clipped += sent.iter().filter(|v| **v >= full).count();
             if let Some(before) = sent_before.as_ref().and_then(|b| b.as_slice()) {
-                out.jumping.extend(overlay::jumping(before, sent, full));
+                out.jumping.extend(overlay::jumping(before, sent, full, kind));
+            }
+            if out.digests.len() == 1 && kind == Kind::Dark {
+                out.bright = overlay::bright(sent, full);
             }
             old_data.add(sent, sent_before.as_ref().and_then(|b| b.as_slice()), full);
             sent_before = Some(shared);

@@ -30,6 +30,7 @@ pub(crate) use crate::dataset::SharedNoise;
 pub use crate::dataset::{DataFault, FaultKind};
 use campaign::Campaign;
 pub(crate) use facts::SetFacts;
+pub(crate) use overlay::rows_with_text;
 
 use crate::dataset::{Dataset, DatasetError, Examination, Key, Kind, StruckSamples};
 use crate::statistics::outliers::are_rays;

@@ -9,8 +9,8 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 
-/// Numbers of frames tested. The lowest bit of a converter may look like larger ones.
-const FRAMES: [u32; 5] = [2, 4, 6, 8, 10];
+/// Numbers of frames tested. The lowest bit of a converter may look like larger ones and those between.
+const FRAMES: [u32; 3] = [2, 4, 8];
 /// Minimum variance of the samples of a frame at which even and odd codes are equally frequent, DN^2:
 /// for normal samples of variance v even codes have 0.5 +- exp(-pi^2 v / 2).
 const MIN_SPREAD_DN2: f64 = 3.0;
@@ -22,7 +22,7 @@ const MAX_STEP_DN: f64 = 1.1;
 /// Minimum number of sets.
 const MIN_SETS: usize = 3;
 /// Maximum relative standard error of the excess (a named choice): at this error an arbitrary excess matches
-/// one of the five numbers in one case of seven.
+/// one of the numbers in one case of ten.
 const MAX_REL_ERROR: f64 = 0.02;
 /// Maximum distance of the excess from that of N, standard errors.
 const SIGMAS: f64 = 3.0;
@@ -48,11 +48,16 @@ impl Check for RoundedMeans {
             let frames = if is_new { set.frames() as f64 } else { 1.0 };
             (set.facts.even_share - 0.5, set.facts.pixels * frames)
         };
-        let excess: Vec<(f64, f64)> = sets.iter().map(of).collect();
-        let Some(n) = frames_in_a_mean(&excess) else { return Vec::new() };
+        let of_kind = |kind: Kind| sets.iter().copied().filter(|i| campaign.sets[*i].kind == kind).collect();
+        let groups: [Vec<usize>; 3] = [sets.clone(), of_kind(Kind::Flat), of_kind(Kind::Dark)];
+        let number = |sets: &[usize]| frames_in_a_mean(&sets.iter().map(of).collect::<Vec<_>>());
+        let Some((n, sets)) = groups.into_iter().find_map(|sets| Some((number(&sets)?, sets))) else {
+            return Vec::new();
+        };
         let text = format!(
             "{}: {} % of the samples are even codes, as in means of {n} frames that were rounded (numpy, OpenCV): system gain of such means is {n} times \
-             too low. Import the frames that they were made of. In raw frames the lowest bit of the converter does this, off by 1/{n} DN",
+             too low. Import the frames that they were made of. Means of {n} pixels, codes divided by {n}, and a lowest bit of the converter that is off \
+             by 1/{n} DN do the same",
             campaign.named(&sets),
             six_digits((1000.0 * (0.5 + 0.5 / f64::from(n))).round() / 10.0)
         );

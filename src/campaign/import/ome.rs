@@ -206,16 +206,18 @@ fn plane(ome: &Ome, plane: &BTreeMap<String, String>) -> Facts {
     out
 }
 
-/// Maximum number of channels of a hyperstack (a named choice): a stack saved with its frames as channels
-/// has more.
+/// Maximum number of channels of a hyperstack, and of one whose every page is a channel (named choices): a
+/// stack saved with its frames as channels has more.
 const MAX_CHANNELS: usize = 4;
+const MAX_CHANNELS_ALONE: usize = 3;
 
 /// Returns the channels of the pages of an ImageJ hyperstack; they come first in its order (XYCZT).
 fn channels_of_imagej(text: &str, pages: &[usize]) -> BTreeMap<usize, Facts> {
     let said = |key: &str| {
         text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix('=')?.trim().parse::<usize>().ok())
     };
-    let channels = said("channels").filter(|n| (2..=MAX_CHANNELS).contains(n) && *n < pages.len());
+    let most = |n: usize| if n == pages.len() { MAX_CHANNELS_ALONE } else { MAX_CHANNELS };
+    let channels = said("channels").filter(|n| (2..=most(*n)).contains(n));
     let Some(channels) = channels.filter(|_| said("images") == Some(pages.len())) else {
         return BTreeMap::new();
     };

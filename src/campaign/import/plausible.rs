@@ -270,9 +270,14 @@ pub fn longer_than_the_period(sets: &mut [Growing], found: &[Found]) {
     ));
 }
 
-/// Questions darks whose exposures are all a thousand or a million times those of the flats, or the
-/// inverse: one of the two units is wrong. Headers of one program use one unit and are not questioned;
-/// neither is a single dark beside flats of several exposures.
+/// Minimum share of the darks whose exposures are those of flats in another unit, and rise of their levels by
+/// which a dark charge shows that they are long, DN (named choices).
+const IN_ANOTHER_UNIT: f64 = 0.75;
+const RISE_DN: f64 = 1.0;
+
+/// Questions darks whose exposures are a thousand or a million times those of the flats, or the inverse: one
+/// of the two units is wrong. Headers of one program use one unit and are not questioned; neither is a single
+/// dark beside flats of several exposures, nor darks whose level rises.
 pub fn darks_in_another_unit(sets: &mut [Growing], found: &[Found]) {
     let exposures = |kind: Kind| -> Vec<(usize, f64)> {
         let of = |(k, s): (usize, &Growing)| Some((k, s.set.exposure_s.filter(|t| *t > 0.0)?));
@@ -283,28 +288,36 @@ pub fn darks_in_another_unit(sets: &mut [Growing], found: &[Found]) {
         all
     };
     let (darks, flats) = (exposures(Kind::Dark), exposures(Kind::Flat));
-    let is_of_flats = |exposure_s: f64| flats.iter().any(|f| same_exposure(f.1, exposure_s));
-    let factor = [1e3, 1e6, 1e-3, 1e-6].into_iter().find(|by| darks.iter().all(|d| is_of_flats(d.1 / by)));
-    let (Some(factor), Some(dark), Some(flat)) = (factor, darks.first(), flats.first()) else { return };
+    let flat_of = |exposure_s: f64| flats.iter().find(|f| same_exposure(f.1, exposure_s));
+    let least = if flats.len() > 1 { 2.0 } else { 1.0 };
+    let fits = |by: &f64| {
+        let fitting = darks.iter().filter(|d| flat_of(d.1 / by).is_some()).count() as f64;
+        fitting >= least && fitting >= IN_ANOTHER_UNIT * darks.len() as f64
+    };
+    let Some(factor) = [1e3, 1e6, 1e-3, 1e-6].into_iter().find(fits) else { return };
+    let pair = darks.iter().find_map(|d| Some((d, flat_of(d.1 / factor)?)));
+    let ([shortest, .., longest] | [shortest @ longest]) = darks.as_slice() else { return };
+    let rise_dn = sets[longest.0].mean_dn - sets[shortest.0].mean_dn;
+    let (Some((dark, flat)), false) = (pair, darks.iter().any(|d| flat_of(d.1).is_some())) else { return };
     let source = |set: usize| {
         let frame = sets[set].frames.first().map(|k| &found[*k].facts);
         frame.and_then(|facts| facts.from.get("exposure_s")).cloned().unwrap_or_default()
     };
     let is_header = |source: &str| !["name", "folder"].iter().any(|word| source.contains(word));
     let (of_dark, of_flat) = (source(dark.0), source(flat.0));
-    if darks.len() < 2 && flats.len() > 1 || is_header(&of_dark) && is_header(&of_flat) {
+    if rise_dn > RISE_DN || is_header(&of_dark) && is_header(&of_flat) {
         return;
     }
     let text = format!(
-        "exposure: all darks are {} the flats, {} s ({of_dark}) to {} s ({of_flat}): milliseconds in the one and seconds in the other? \
-         Dark current would be wrong by as much. State exposure_s",
+        "exposure: darks are {} the flats ({} s by {of_dark}, {} s by {of_flat}): milliseconds in the one and seconds in the other? Dark current would \
+         be wrong by as much. Correct exposure_s where it is wrong",
         if factor > 1.0 {
             format!("{} times as long as", six_digits(factor))
         } else {
             format!("shorter by {} than", six_digits(1.0 / factor))
         },
         six_digits(dark.1),
-        six_digits(dark.1 / factor)
+        six_digits(flat.1)
     );
     sets[dark.0].set.doubts.push(text);
 }
