@@ -13,7 +13,7 @@
 //!
 //! The file is a line `radcam statistics 1`, a CBOR item (RFC 8949) and the SHA-256 of both.
 
-use crate::data_faults::{SetFacts, examined, facts_of, rows_with_text};
+use crate::data_faults::{SetFacts, examined, facts_of, part_that_jumps};
 use crate::dataset::{
     Dataset, DatasetError, FrameRow, HEAD, Key, Manifest, Reduced, Set, is_statistics, write_whole,
 };
@@ -115,13 +115,11 @@ fn kept_facts(
     stop: &AtomicBool,
 ) -> Result<Reduced, ObserveError> {
     let all = facts_of(dataset, stop)?;
-    // Parts of a campaign need not show the text alike: statistics are of whole frames.
-    if let Some(rows) = rows_with_text(dataset, &all) {
+    // Parts of a campaign need not show it alike: statistics are of whole frames.
+    if let Some(part) = part_that_jumps(dataset, &all) {
         let message = format!(
-            "rows {} to {} change from frame to frame as text does, such as a time stamp, and statistics are of whole frames: switch the overlay \
-             off; noise and diagnose leave these rows of the frames out",
-            rows.start,
-            rows.end - 1
+            "{}, and statistics are of whole frames; noise and diagnose leave these rows of the frames out",
+            part.in_words()
         );
         return Err(DatasetError::Manifest { path: dataset.root().into(), message }.into());
     }

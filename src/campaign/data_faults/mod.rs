@@ -30,7 +30,7 @@ pub(crate) use crate::dataset::SharedNoise;
 pub use crate::dataset::{DataFault, FaultKind};
 use campaign::Campaign;
 pub(crate) use facts::SetFacts;
-pub(crate) use overlay::rows_with_text;
+pub(crate) use overlay::part_that_jumps;
 
 use crate::dataset::{Dataset, DatasetError, Examination, Key, Kind, StruckSamples};
 use crate::statistics::outliers::are_rays;
@@ -82,14 +82,15 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
     }
     let mut facts = facts_of(dataset, stop)?;
     let mut faults = Vec::new();
-    let part = overlay::without_text(dataset, &facts).map(|(part, fault)| {
+    let part = overlay::without_part_that_jumps(dataset, &facts).map(|(part, fault, is_text)| {
         faults.push(fault);
-        part
+        (part, is_text)
     });
-    if let Some(part) = &part {
+    if let Some((part, _)) = &part {
         facts = facts_of(part, stop)?;
     }
-    let dataset = part.as_ref().unwrap_or(dataset);
+    let is_without_text = part.as_ref().is_some_and(|(_, is_text)| *is_text);
+    let dataset = part.as_ref().map_or(dataset, |(part, _)| part);
     let struck = StruckSamples::of(&facts);
     let mut campaign = Campaign::new(dataset, facts);
     for check in CHECKS {
@@ -103,6 +104,7 @@ pub fn examined(dataset: &Dataset, stop: &AtomicBool) -> Result<Dataset, Examine
         carried_share: campaign.carried_share,
         shared_noise,
         flats_are_dark_subtracted: campaign.flats_are_dark_subtracted,
+        is_without_text,
     };
     Ok(dataset.without(&campaign.rows_left_out(), passed_over, faults, examination))
 }

@@ -32,6 +32,8 @@ pub(crate) struct Examination {
     pub shared_noise: Option<SharedNoise>,
     /// True if the flats are dark-subtracted: the black level of the manifest does not apply to them.
     pub flats_are_dark_subtracted: bool,
+    /// True if rows with text are excluded.
+    pub is_without_text: bool,
 }
 
 /// Values before the examination.
@@ -41,6 +43,7 @@ pub(super) const UNEXAMINED: Examination = Examination {
     carried_share: 0.0,
     shared_noise: None,
     flats_are_dark_subtracted: false,
+    is_without_text: false,
 };
 
 /// Single samples that are far from the same pixel in other frames.
@@ -105,6 +108,11 @@ impl Dataset {
     /// Returns the quantisation variance, DN^2: q^2 / 12 (eq. 27 of Healey and Kondepudy).
     pub fn quantisation_dn2(&self) -> f64 {
         self.examination.code_step_dn.powi(2) / 12.0
+    }
+
+    /// Returns true if rows with text, such as a time stamp, are excluded.
+    pub(crate) fn is_without_text(&self) -> bool {
+        self.examination.is_without_text
     }
 
     /// Returns true after [`examined`](crate::data_faults::examined).

@@ -54,9 +54,13 @@ impl Dataset {
         Some(part)
     }
 
-    /// Returns true if the campaign is cut to a region.
-    pub(crate) fn is_cut(&self) -> bool {
-        self.cut.is_some()
+    /// Returns the campaign with all pixels of its frames.
+    pub(crate) fn uncut(mut self) -> Self {
+        if let Some(Cut { whole, .. }) = self.cut.take() {
+            (self.manifest.camera.height, self.manifest.camera.width) = whole;
+            self.kept = Arc::default();
+        }
+        self
     }
 
     /// Returns one colour plane of a mosaic, as a campaign of half the size: the pixel at this row and

@@ -193,10 +193,11 @@ fn looked_at(dataset: &Dataset) -> Result<Dataset, DatasetError> {
         ExamineError::Dataset(e) => e,
         ExamineError::Interrupted => fault(e.to_string()),
     })?;
-    if whole.is_cut() {
+    if whole.is_without_text() {
         return Err(fault("a correction needs every pixel of the camera, and some rows hold text".into()));
     }
-    Ok(whole)
+    // Rows that jump without being text have defective pixels, which are flagged.
+    Ok(whole.uncut())
 }
 
 /// Calibration, with its flagged pixels.
