@@ -196,7 +196,7 @@ fn looked_at(dataset: &Dataset) -> Result<Dataset, DatasetError> {
     if whole.is_without_text() {
         return Err(fault("a correction needs every pixel of the camera, and some rows hold text".into()));
     }
-    // Rows that jump without being text have defective pixels, which are flagged.
+    // Rows that jump without being text may have defective pixels: a correction is of whole frames.
     Ok(whole.uncut())
 }
 
