@@ -5,6 +5,10 @@
 //!
 //! D(a,b) = (K(a,b) I(a,b) + N_DC(a,b) + N_S(a,b) + N_R(a,b)) A + N_Q(a,b)
 //!
+//! K: relative response of a pixel (PRNU), mean 1; A: system gain, DN/e (K in EMVA 1288); I: light, e; N_DC,
+//! N_S, N_R, N_Q: dark charge, shot, read and quantisation noise. [`Sensor`] draws frames, [`predict`]
+//! computes their expected statistics, and [`effects`] change both.
+//!
 //! Nothing here reads a file, speaks to a camera or knows how a measurement is made.
 //!
 //! ```

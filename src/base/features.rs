@@ -96,7 +96,7 @@ const STATUS: Role = Harmless("tells and changes nothing");
 const TIMING: Role = Harmless("when frames are read, not what is in them");
 const EVENT: Role = Harmless("a message beside the image");
 
-/// Known features, in alphabetic order.
+/// Known features, in the order of bytes, for a binary search: capitals before small letters.
 const KNOWN: &[(&str, Role)] = &[
     ("ADC_range", Setting),
     ("ALC_Intensifier_Gain", Setting),
@@ -218,6 +218,8 @@ const KNOWN: &[(&str, Role)] = &[
     ("ExposureTimeMin", STATUS),
     ("ExposureTimeRaw", Setting),
     ("ExposureValue", STATUS),
+    ("FfcEnable", Distorts(Off, SHADING)),
+    ("FfcMode", Distorts(Entry("Off"), SHADING)),
     ("FfcUserGain", Setting),
     ("FfcUserOffset", Setting),
     ("FfcUserTableXCoordinate", SELECTS),

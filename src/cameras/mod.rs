@@ -1,8 +1,10 @@
-//! Cameras, and what runs on them: capture, correction at the camera's rate, monitoring.
+//! Cameras, and what runs on them: capture, live correction, monitoring.
 //!
 //! In: a name such as `aravis:192.168.1.5` or `sim:cmos12`. Out: frames ([`camera`]), campaigns ([`capture`]
-//! with a [`bench`]), corrected frames to disk or network ([`stream`], [`serve`](crate::serve), [`upload`]),
-//! alarms ([`monitor`]). Begin with [`camera::Camera`], the trait that every backend implements.
+//! with a [`bench`], which drives the light), corrected frames to disk or another program ([`stream`]), a
+//! simulated or corrected camera offered over GigE Vision ([`serve`](crate::serve)), a calibration written
+//! into a camera ([`upload`]), alarms ([`monitor`]). Features that a capture switches off are in
+//! [`features`](crate::features). Begin with [`camera::Camera`], the trait that every backend implements.
 
 pub mod bench;
 pub mod camera;

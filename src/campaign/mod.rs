@@ -1,9 +1,10 @@
-//! Campaigns: from image files to examined sets of frames.
+//! Campaigns: from files on a disk to sets of frames that were looked at.
 //!
-//! Input: folders, stacks, headers and file names of any program ([`import`]), and [`plan`]s of
-//! campaigns to be captured. Output: a [`dataset`] whose faulty frames are named and excluded
-//! ([`data_faults`]), and a first look at its sets: usable pixels and dark level. Begin with
-//! [`dataset::Dataset`].
+//! In: folders, stacks, headers and names of any program ([`import`]), and [`plan`]s of campaigns to be
+//! taken. Out: a [`dataset`], whose file formats are decoded in [`dataset::image`]; its slips, named and left
+//! out ([`data_faults`]); a first look at its sets: pixels that count, level of the darks. A frame is one
+//! exposure of an area of pixels of one kind: mosaics are split by [`dataset::Dataset::plane`], and lines of
+//! a line scan have no form yet. Begin with [`dataset::Dataset`].
 
 pub mod data_faults;
 pub mod dataset;

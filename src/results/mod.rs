@@ -1,8 +1,9 @@
-//! Results for users: data sources, studies over light and exposure, reports.
+//! Results for people: any data source, report contents, reports.
 //!
-//! Input: a dataset folder, statistics of parts of a campaign ([`reduction`]), an EMVA 1288 descriptor or a
-//! table, opened by [`source`]. Output: noise, diagnosis and report. [`investigate`] goes from a camera to a
-//! verdict automatically. Begin with [`source::Source`].
+//! In: a dataset folder, statistics of parts of a campaign ([`reduction`]), an EMVA 1288 descriptor or a
+//! table, opened by [`source`]. Out: noise, diagnosis, report contents as data ([`study`]) and their page
+//! ([`report`]). [`reproduce`] repeats Section VII of the paper; [`investigate`] goes from a camera to a
+//! verdict by itself. Begin with [`source::Source`].
 
 pub mod investigate;
 pub mod reduction;

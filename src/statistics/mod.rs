@@ -1,7 +1,8 @@
-//! Streaming, mergeable statistics of frames, one observable per file.
+//! Streaming, mergeable sums over frames, one accumulator per file.
 //!
-//! [`pass::Pass`] runs all statistics of a set's noise in one pass; [`moments::Moments`] keeps mean and
-//! variance of every pixel.
+//! In: the frames of a set, one after the other. Out: [`pass::Summary`], the temporal and spatial statistics
+//! of the set from one pass; [`moments::Moments`], mean and variance of every pixel. Values that a model is
+//! compared with are made of them in [`observables`](crate::observables). Begin with [`pass`].
 
 pub mod code_step;
 pub(crate) mod correlated_frames;

@@ -146,6 +146,19 @@ mod tests {
     use super::*;
     use crate::predict::{Before, FrameInfo, NORMAL, SetInfo};
 
+    /// A stage in no range would be neither drawn nor predicted.
+    #[test]
+    fn every_effect_is_a_step_of_the_chain() {
+        for effect in EFFECTS {
+            let values: Vec<f64> =
+                effect.parameters().iter().map(|p| p.starts.first().copied().unwrap_or(p.min)).collect();
+            let steps = steps(&[(*effect, &values)]);
+            let found =
+                steps.iter().filter(|s| matches!(s, Step::Effect(e, _) if e.id() == effect.id())).count();
+            assert_eq!(found, 1, "{}", effect.id());
+        }
+    }
+
     const PLAIN: Plain = Plain {
         gain_dn_per_e: 0.4,
         range_e: 9000.0,

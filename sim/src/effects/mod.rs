@@ -5,18 +5,19 @@
 
 use crate::predict::{Campaign, Prediction};
 
-/// Stage of the chain at which an effect acts, in the order in which light travels.
+/// Stage of the chain at which an effect acts, in the order in which the drawing (`draw.rs`) and the
+/// prediction (`chain.rs`) run them. A new stage joins a range in both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
     /// On the light, before charge is counted.
     Light,
     /// On the charge in the pixels, after shot noise.
     Charge,
-    /// On the charge that the wells hold, once all of it has come.
+    /// Where charge is limited or spills: full well, blooming.
     Well,
-    /// On the charge held in the wells, after all of it is collected.
+    /// While charge moves to the output: transfer, smear.
     Transfer,
-    /// Noise added at read-out, before the amplifier.
+    /// At read-out, after the read noise of the sensor is added, before the amplifier.
     Read,
     /// The amplifier, DN above the black level.
     Amplifier,

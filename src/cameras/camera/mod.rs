@@ -1,7 +1,8 @@
 //! Cameras behind one trait: real ones, simulated ones, and recordings.
 //!
-//! Each backend is one file here with a [`Backend`], and one line in the list below. An unsupported operation
-//! returns [`CameraError::NotAvailable`]; [`Capabilities`] tells beforehand.
+//! Each backend is one file or folder here with a [`Backend`], and one line in the list below; [`corrected`]
+//! wraps any of them. An unsupported operation returns [`CameraError::NotAvailable`]; [`Capabilities`] tells
+//! beforehand.
 
 pub mod corrected;
 mod counter;

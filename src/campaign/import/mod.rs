@@ -1,4 +1,5 @@
-//! Import of loose image files into a dataset folder.
+//! Import of loose image files into a dataset folder. Formats are decoded in
+//! [`dataset::image`](crate::dataset::image); only NumPy's is here.
 //!
 //! [`survey`] reads the files, [`propose`] sorts them into sets as a [`Map`], the user confirms or
 //! completes it, and [`write()`] copies the frames. Unknown values are not guessed: [`Map::missing`]
