@@ -73,10 +73,11 @@ pub(crate) struct SoftLimit {
     pub limit: f64,
 }
 
-/// Nodes of the trapezoidal rule over normal noise, and its range in standard deviations. The rule's error
-/// falls faster than any power of the step for smooth curves (Trefethen and Weideman 2014); a kink as sharp
-/// as the limit may be leaves 1e-4 of the variance.
+/// Number of intervals of the trapezoidal rule over normal noise. The rule's error decreases faster than any
+/// power of the step for smooth curves (Trefethen and Weideman 2014). For the sharpest limit allowed, the
+/// error is 1e-4 of the variance.
 const NOISE_NODES: i32 = 40;
+/// Half width of the rule's range, standard deviations.
 const NOISE_REACH: f64 = 5.0;
 
 impl SoftLimit {
@@ -134,8 +135,8 @@ impl SoftLimit {
     }
 }
 
-/// Computes the moments of min(x, limit) for normal noise in pixels whose means have the deviation `spread`
-/// and lie at these places.
+/// Computes the moments of min(x, limit) for normal noise in pixels whose means have the standard deviation
+/// `spread`, in groups at these places.
 pub(crate) fn clipped(
     mean: f64,
     spread: f64,

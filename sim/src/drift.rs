@@ -1,7 +1,7 @@
 //! Drift with time: a straight line, or exponential settling as in a warm-up (the first time constant of a
-//! body's approach to its surroundings: Newton's law of cooling). Light may also change by the same share
-//! each second, as at twilight. The four values are the shape, the change per second, the excess at the start
-//! and the time constant.
+//! body's approach to its surroundings: Newton's law of cooling). Light may also change exponentially, as at
+//! twilight. The four values are the shape, the change per second, the excess at the start and the time
+//! constant.
 
 use crate::effects::{Parameter, Seen};
 
@@ -15,7 +15,7 @@ pub(crate) const SHAPE: Parameter = Parameter {
     starts: &[0.0, 1.0],
 };
 
-/// Choice for light, which adds a change by the same share each second, as of daylight.
+/// Choice of the shape for light: additionally exponential, like daylight.
 pub(crate) const SHAPE_OF_LIGHT: Parameter = Parameter {
     meaning: "0: a straight line in time, 1: it settles, 2: it fades or grows by the same share each second",
     max: 2.0,

@@ -499,8 +499,8 @@ mod tests {
         let noise = (0.003384 * dark_dn + 1.1196) / 20.0;
         let spread = (dark_dn * model.base.dark_current_spread).hypot(noise.sqrt());
         assert!((spread - 0.555).abs() < 5e-5, "{spread}");
-        // Smaller than the paper's 3.72e-3: `radcam reproduce` shows that the estimate is as large as the
-        // paper's.
+        // sigma_K of the model is below 3.72e-3, the paper's estimate. The same estimate from simulated
+        // frames is as large as the paper's (`radcam reproduce`).
         assert!(model.base.sigma_k < 3.72e-3);
         assert_eq!(model.full_scale_dn(), 255);
     }

@@ -4,12 +4,12 @@
 
 use std::sync::OnceLock;
 
-/// Shares of the pixels in nine groups, from the lowest to the highest level.
-/// [`crate::predict::SetInfo::places`] gives the levels of the groups. The groups in the tails are small.
+/// Shares of the pixels in nine groups of levels, from the lowest to the highest level; the groups in the
+/// tails are small. [`crate::predict::SetInfo::places`] gives the levels of the groups.
 pub const PLACES: [f64; 9] = [0.01, 0.04, 0.1, 0.2, 0.3, 0.2, 0.1, 0.04, 0.01];
 
-/// Deviation of the levels within a group, in standard deviations of all: half the distance between groups in
-/// the middle.
+/// Standard deviation of levels within a group, relative to that of all levels: half the spacing of the
+/// middle groups.
 pub const AROUND: f64 = 0.35;
 
 /// [`crate::predict::SetInfo::places`] of normal levels.

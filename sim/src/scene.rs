@@ -40,7 +40,7 @@ impl Bench {
     }
 }
 
-/// Returns first column, first row, width and height of a square; three squares stand in a row.
+/// Returns first column, first row, width and height of a square; three squares form a row.
 fn cell(body: &Body, squares: usize, index: usize) -> (usize, usize, usize, usize) {
     let across = squares.clamp(1, 3);
     let down = squares.div_ceil(across).max(1);
@@ -50,8 +50,8 @@ fn cell(body: &Body, squares: usize, index: usize) -> (usize, usize, usize, usiz
     (left, top, (column + 1) * w / across - left, (row + 1) * h / down - top)
 }
 
-/// Returns the relative light at every pixel, (rows, columns), in electrons per electron of a plain card in
-/// the middle of the light: 1 there.
+/// Returns the relative light at each pixel (rows, columns); 1 = plain card at the centre of the
+/// illumination.
 pub(crate) fn light_map(model: &Model, scene: Scene, configuration: u32) -> Array2<f32> {
     let mut light = light_of_card(model, scene, configuration);
     let radius = model.bench.image_circle;
@@ -66,8 +66,7 @@ pub(crate) fn light_map(model: &Model, scene: Scene, configuration: u32) -> Arra
     light
 }
 
-/// Width of the image circle's rim, over the radius, as of a lens with its iris closed a little (a named
-/// choice).
+/// Width of the image circle's rim, relative to the radius: a slightly stopped-down lens (a named choice).
 const RIM: f64 = 0.05;
 
 /// Computes the light without the image circle.
@@ -75,7 +74,7 @@ fn light_of_card(model: &Model, scene: Scene, configuration: u32) -> Array2<f32>
     let (body, bench) = (&model.camera, &model.bench);
     let shape = (body.height as usize, body.width as usize);
     let (h, w) = (shape.0 as f64, shape.1 as f64);
-    // Card and lamp move with the configuration: the middle of the light shifts, and its slope turns by the
+    // Card and lamp move with the configuration: the centre of the light shifts, and its slope turns by the
     // golden angle.
     let turn = f64::from(configuration) * 2.399_963_229_728_653;
     let (along_x, along_y) = (libm::cos(turn), libm::sin(turn));
@@ -98,7 +97,7 @@ fn light_of_card(model: &Model, scene: Scene, configuration: u32) -> Array2<f32>
     let reach = shares.iter().map(|s| s.kernel.len() / 2).max().unwrap_or(0);
     let plain = scene != Scene::Chart && bench.card.is_plain();
     if plain && reach == 0 {
-        // No structure is finer than a pixel: the light is taken at its middle.
+        // No structure is finer than a pixel: the light at its centre is used.
         let all: f64 = shares.iter().map(|s| scale(s.electrons) * s.card).sum();
         return Array2::from_shape_fn(shape, |(row, column)| {
             let (x, y) = (column as f64 + 0.5, row as f64 + 0.5);

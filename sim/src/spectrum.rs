@@ -360,8 +360,8 @@ impl Ripple {
     }
 }
 
-/// Returns the mean square of the product of a sine, of this turn per line and of any phase, with the cosine
-/// of `halves` half turns over all lines (of mean square 1), over that of the sine.
+/// Returns the relative power of a random-phase sine (`turn` rad per line) in DCT component `halves`: mean
+/// square of their product over all lines, with a component of mean square 1.
 pub fn cosine_power(halves: u32, lines: f64, turn: f64) -> f64 {
     let a = std::f64::consts::PI * f64::from(halves) / lines;
     // Sum of e^(i t y) over all lines, with the phase at the middle removed (Dirichlet's kernel).
@@ -432,8 +432,8 @@ mod tests {
         }
     }
 
-    /// The variance equals the covariance at lag 0, and the shared part of lines that of their means, for a
-    /// spectrum without any symmetry but its own.
+    /// The variance equals the covariance at lag 0, and the shared part of lines that of their means, for an
+    /// arbitrary spectrum (even along each axis).
     #[test]
     fn sums_over_frequencies_agree() {
         let mut noise = Spectrum::white(1.0);

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Chance below which a model does not describe the campaign.
+/// p-value below which a model does not describe the campaign.
 pub const P_LIMIT: f64 = 1e-3;
-/// Chance below which the agreement is doubtful.
+/// p-value below which the agreement is doubtful.
 pub const DOUBT: f64 = 0.05;
 
 /// Agreement of a model with a campaign: the grade used by all commands and reports.
@@ -20,7 +20,7 @@ pub enum Agreement {
 }
 
 impl Agreement {
-    /// Grades the chance of deviations as large as those seen.
+    /// Returns the grade for a p-value.
     pub fn of(p_value: f64) -> Self {
         match p_value {
             p if p >= DOUBT => Self::Holds,

@@ -19,7 +19,8 @@ pub struct Layout {
     pub column_pixels: Vec<f32>,
     /// Dark level of the pixels, DN, if known.
     pub zero: Option<Vec<f32>>,
-    /// Growth of a pixel's variance with its signal, DN: brighter pixels are not mistaken for unequal ones.
+    /// Approximate system gain, DN/e: predicts the shot noise of bright pixels, which would otherwise count
+    /// as noisier.
     pub gain: f64,
     pub(super) full_scale_dn: u16,
     pub(super) pairs: Covariance,

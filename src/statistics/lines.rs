@@ -1,4 +1,5 @@
-//! Variance of the means of rows and of columns: noise that whole lines share.
+//! Temporal variance of the means of rows and of columns about their mean over the frames: noise common to
+//! whole lines. Not EMVA's spatial row and column variance.
 
 use super::layout::Layout;
 use super::quadratic::Quadratic;

@@ -10,22 +10,26 @@ use std::sync::Arc;
 
 /// Cells along each side of a frame.
 const CELLS: usize = 6;
-/// Minimum deviation of an excluded frame, over the usual deviation of frames of the campaign: never reached
-/// by chance, and an effect shifts more than a few frames.
+/// Minimum deviation of an outlier frame's mean, over the usual deviation of frame means; half of it for
+/// cells. Never reached by chance. Camera effects do not reach it either: they shift many frames, which
+/// raises the usual deviation itself.
 const FAR: f64 = 12.0;
-/// Minimum deviation of a replaced sample from the pixel's other frames, over the noise: one in 10^15 by
-/// chance.
+/// Minimum deviation of a struck sample (cosmic ray, bit error) from the pixel's other frames, in standard
+/// deviations of the noise; one in 10^15 by chance.
 const STRUCK: f32 = 8.0;
-/// Minimum deviation of a neighbour of a replaced sample, over the noise: charge of a ray spreads.
+/// Minimum excess of a struck sample's neighbour over its other frames, in standard deviations of the noise:
+/// the charge of a ray spreads.
 const BESIDE: f32 = 4.0;
-/// Minimum deviation over the noise of the pixel's own other frames, which five of them determine to a third.
+/// Minimum deviation of a struck sample, over the noise of the same pixel in the other frames. Five frames
+/// determine this noise to a third.
 const OF_OWN: f32 = 4.0;
-/// Share of the pixels at the largest code above which the noise is taken from the largest ranges, and the
-/// factor by which clipping may have reduced these (named choices): half of the noise of a pixel at full
-/// scale is cut off on average.
+/// Share of the pixels at the largest code above which the noise is estimated from the largest ranges (a
+/// named choice): samples at full scale show no noise.
 const MANY_AT_TOP: f64 = 0.2;
+/// Correction factor of these ranges for clipping (a named choice): a pixel at full scale loses half of its
+/// noise on average.
 const CUT_RANGES: f32 = 2.0;
-/// Range of two to eight normal numbers that one in twenty exceeds, in standard deviations (Harter 1960).
+/// 95 % quantile of the range of two to eight normal numbers, in standard deviations (Harter 1960).
 const FAR_RANGE: [f32; 7] = [2.77, 3.31, 3.63, 3.86, 4.03, 4.17, 4.29];
 /// Maximum number of frames compared with each other.
 pub const BLOCK: usize = 8;
@@ -47,12 +51,13 @@ fn mean_of(cells: &[f64]) -> f64 {
     cells.iter().sum::<f64>() / cells.len().max(1) as f64
 }
 
-/// Deviations of frames from the others of their block.
+/// Deviations of the frames of a block from the block's medians.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Apart {
     /// Deviation of each frame's mean from the median of the block, DN.
     pub mean_dn: Vec<f64>,
-    /// Largest deviation of a cell's mean in each frame, the frame's mean subtracted, DN.
+    /// Largest deviation of a cell in each frame, DN: cell mean minus frame mean, against its median over the
+    /// block.
     pub cell_dn: Vec<f64>,
     /// Median of the frames' means, DN.
     pub level_dn: f64,
@@ -218,8 +223,8 @@ impl Usual {
                 (self.flat_cell * above.sqrt()).hypot(dark(self.dark_cell_dn)),
             )
         };
-        // The usual scatter of this set is no flash: light bands and flicker that other exposures average
-        // out.
+        // Scatter common to all frames of this set (light bands, flicker) is not a flash. Other exposures may
+        // average it out.
         let mean = mean.max(a.usual_mean_dn()).max(of_set.usual_mean_dn());
         let cell = cell.max(a.usual_cell_dn()).max(of_set.usual_cell_dn());
         // Rounding to whole codes alone moves a mean by a few hundredths.
@@ -233,7 +238,7 @@ impl Usual {
     }
 }
 
-/// Sample that lies far off the same pixel in the other frames of a block.
+/// Sample that deviates far from the same pixel in the other frames of a block.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Struck {
     /// Place of its frame in the block.
@@ -271,7 +276,8 @@ pub fn struck<F: Borrow<Array2<u16>>>(block: &[F]) -> Vec<Struck> {
     let usual = median(sample().map(|i| f64::from(f32::from(most[i]) - others(i, most[i])))) as f32;
     let level = median(sample().map(|i| f64::from(others(i, most[i])))) as f32;
     let usual = usual / if n < 3 { 0.95 } else { 1.4 };
-    // Samples at the largest code, usually full scale, show no noise; pixels that reach it show a part.
+    // Samples at the largest code, usually full scale, show no noise; pixels that reach it show only part of
+    // their noise.
     let top = most.iter().copied().max().unwrap_or(0);
     let at_top = sample().filter(|i| most[*i] == top).count() as f64;
     let usual = if at_top > MANY_AT_TOP * sample().count() as f64 {
@@ -334,7 +340,7 @@ fn own_noise(values: impl Iterator<Item = f32>) -> f32 {
     if n < FEWEST { 0.0 } else { (most - least) / RANGE[(n - FEWEST).min(RANGE.len() - 1)] }
 }
 
-/// Finds neighbours that have part of a ray's charge.
+/// Finds neighbours that collected part of a ray's charge.
 fn beside(
     frames: &[&[u16]],
     frame: usize,
@@ -382,7 +388,8 @@ fn usual_of(frames: &[&[u16]], pixel: usize, columns: usize) -> u16 {
     own[(own.len() - 1) / 2]
 }
 
-/// Replaces the samples of [`struck`]; returns the (frame, pixel) of the centres.
+/// Replaces the samples of [`struck`] by the usual code of their pixels; returns (frame, pixel) of the
+/// centres.
 pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
     let found = struck(block);
     for s in &found {
@@ -393,8 +400,8 @@ pub fn take_struck(block: &mut [Array2<u16>]) -> Vec<(usize, usize)> {
     found.iter().filter(|s| s.centre).map(|s| (s.frame, s.pixel)).collect()
 }
 
-/// Computes the block size that divides `frames` into blocks of nearly equal size: a last block of a single
-/// frame would have nothing to be compared with.
+/// Computes the block size that divides `frames` into blocks of nearly equal size: a last block of one frame
+/// would have no frames for comparison.
 pub fn block_size(frames: usize) -> usize {
     frames.div_ceil(frames.div_ceil(BLOCK).max(1)).max(1)
 }
@@ -430,8 +437,8 @@ pub fn without_struck(block: &[Arc<Array2<u16>>]) -> (Vec<Arc<Array2<u16>>>, Vec
     (out, pixels)
 }
 
-/// Returns true if struck samples lie at random, as rays do, and do not recur in the same pixels, as in
-/// pixels that blink. Of `n` samples in `pixels` pixels some hit a pixel again by chance.
+/// Returns true if struck samples are at random pixels, like cosmic rays, and do not recur in the same
+/// pixels, like blinking pixels. Of `n` samples in `pixels` pixels some hit a pixel again by chance.
 pub fn are_rays(hit: &[usize], samples: f64, pixels: f64) -> bool {
     let mut sorted = hit.to_vec();
     sorted.sort_unstable();

@@ -2,7 +2,7 @@
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Step that splits a list best.
+/// Step that best splits a list.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
     /// Mean from the step on minus the mean before.
@@ -47,8 +47,8 @@ mod tests {
         (0..n).map(|i| PixelRng::new(seed, Stream::Effect, 0, i, 0).normal()).collect()
     }
 
-    /// Among 4000 lists no more have a small p-value than stated, within four standard errors, and no fewer
-    /// than a third of that.
+    /// In 4000 random lists, the p-value is below the limit no more often than stated (tolerance: four
+    /// standard errors), and at least a third as often.
     #[test]
     fn chances_are_those_of_independent_numbers() {
         for n in [8, 24] {
@@ -61,8 +61,8 @@ mod tests {
         }
     }
 
-    /// A step of four deviations is found, with its size within five standard errors; equal numbers have
-    /// none.
+    /// A step of four standard deviations is found, with its size within five standard errors; equal numbers
+    /// have no step.
     #[test]
     fn a_step_is_found() {
         for seed in 0..50 {

@@ -4,14 +4,14 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage
 use crate::normal::{AROUND, tail};
 use crate::predict::{BITS, NORMAL, PLACES};
 
-/// The weights of the six lowest bits, of the six highest, or of both are off by some part of a step.
+/// Weight errors of the six lowest bits, of the six highest, or of both.
 pub struct AdcNonlinearity;
 
 /// Number of bits at each end with a weight error of their own.
 const EACH: usize = 6;
 
-/// Builds the parameter of one bit; `max` is nearly half of the weight of a low bit, and nearly a code for
-/// the lowest (named choices: with more, codes would run backwards).
+/// Builds the parameter of one bit. `max`: nearly half of the weight of a low bit, and nearly one code for
+/// the lowest (named choices: larger errors would make the codes nonmonotonic).
 const fn bit(name: &'static str, meaning: &'static str, max: f64) -> Parameter {
     Parameter { name, meaning, unit: "DN", min: -max, max, starts: &[0.05] }
 }
@@ -20,8 +20,7 @@ const fn weight(bit: usize) -> f64 {
     (1u32 << bit) as f64
 }
 
-/// Returns the gain error of these bit errors: the part in proportion to the weights, over the weights (least
-/// squares).
+/// Returns the gain error of these bit errors: their component proportional to the weights (least squares).
 fn gain_of(errors: &[f64]) -> f64 {
     let sum = |of: &dyn Fn(usize) -> f64| (0..errors.len()).map(of).sum::<f64>();
     sum(&|b| weight(b) * errors[b]) / sum(&|b| weight(b) * weight(b)).max(1.0)
@@ -40,7 +39,7 @@ fn errors(p: &[f64], bits: usize) -> [f64; BITS] {
         }
     }
     if part != 0 {
-        // Nonlinearity counts from the straight line, so the gain error is removed.
+        // Nonlinearity is relative to the straight line, so the gain error is removed.
         let gain = gain_of(&out[..bits]);
         (0..bits).for_each(|b| out[b] -= gain * weight(b));
     }
@@ -95,20 +94,21 @@ impl Steps {
     }
 }
 
-/// Number of bits whose steps noise of their weight smooths to a few waves.
+/// Number of bits whose steps, smoothed by the noise, need only a few Fourier terms.
 const FINE: usize = 3;
-/// Number of waves of the slowest of them that are kept; of the next, exp(-2 pi^2 81 / 64) = 1e-11 is left.
+/// Number of Fourier terms kept, counted in harmonics of the slowest of these bits. The next nonzero one is
+/// the ninth: at most exp(-2 pi^2 81 / 64) = 1e-11.
 const WAVES: usize = 7;
 
-/// Mean and slope for noise of at least the weight of a bit: lower bits average out, the bits next to it are
-/// waves of the level, and higher bits are steps.
+/// Mean and slope for noise of at least the weight of a bit: lower bits average out, the next `FINE` bits are
+/// Fourier series of the level, and higher bits are steps.
 struct Smooth {
     /// Weight of the lowest bit that counts, DN.
     apart: f64,
     full_scale_dn: f64,
     /// Half of the errors of the lower bits: each is set half of the time.
     below: f64,
-    /// Errors of the bits that are waves.
+    /// Errors of the bits with Fourier series.
     fine: [f64; FINE],
     above: Option<Steps>,
     /// Steps of all bits that are not lower.
@@ -116,7 +116,7 @@ struct Smooth {
 }
 
 impl Smooth {
-    /// Builds the steps and waves for bits below `lowest` that average out.
+    /// Builds the steps and Fourier terms; bits below `lowest` average out.
     fn new(mut errors: [f64; BITS], lowest: usize, bits: usize) -> Self {
         let below = 0.5 * errors[..lowest].iter().sum::<f64>();
         errors[..lowest].fill(0.0);
@@ -127,9 +127,9 @@ impl Smooth {
         Self { apart: weight(lowest), full_scale_dn: weight(bits) - 1.0, below, fine, above, all }
     }
 
-    /// Returns the size of each wave that noise leaves. A bit of the weight w is 1 in the second half of
-    /// every 2 w: 1/2 less the sum over odd k of 2 / (pi k) sin(2 pi k x / 2 w), of which noise leaves exp(-2
-    /// pi^2 k^2 sd^2 / (2 w)^2).
+    /// Returns the Fourier coefficients after smoothing by the noise. A bit of the weight w is 1 in the
+    /// second half of every 2 w: 1/2 less the sum over odd k of 2 / (pi k) sin(2 pi k x / 2 w). Noise
+    /// multiplies each term by exp(-2 pi^2 k^2 sd^2 / (2 w)^2).
     fn waves(&self, sd: f64) -> [f64; WAVES] {
         let turns = sd / (8.0 * self.apart);
         let left = libm::exp(-2.0 * (std::f64::consts::PI * turns).powi(2));
@@ -145,8 +145,8 @@ impl Smooth {
         })
     }
 
-    /// Returns the mean over normal noise about a level, DN, and its slope with the level; `waves` are those
-    /// of this noise.
+    /// Returns the mean over normal noise about a level, DN, and its slope with the level. `waves`: Fourier
+    /// coefficients for this noise.
     fn over(&self, level: f64, sd: f64, waves: &[f64; WAVES]) -> (f64, f64) {
         if sd < self.apart || level < 5.0 * sd || level > self.full_scale_dn - 5.0 * sd {
             let (mean, slope) = self.all.over(level, sd);

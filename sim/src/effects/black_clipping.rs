@@ -57,7 +57,8 @@ impl Effect for BlackClipping {
         is_at_code_0(p).then_some("at code 0: the black level is too low for the noise of darks")
     }
 
-    /// Starts within the measured dark noise: a clipped half has 0.58 of the deviation.
+    /// Returns starts relative to the measured dark noise: clipping at the mean reduces the standard
+    /// deviation to 0.58.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         [-1.0, -0.3 * seen.dark_noise_dn, -1.5 * seen.dark_noise_dn, 0.5 * seen.dark_noise_dn]
             .map(|v| vec![v, 0.0])
@@ -66,9 +67,8 @@ impl Effect for BlackClipping {
             .collect()
     }
 
-    /// Darks that extend below the level are not cut off there. Darks with fewer than one sample in two
-    /// hundred near code 0 are not cut off at code 0. Both to within rounding and the error of the black
-    /// level.
+    /// Darks that extend below the level are not clipped there. Darks with fewer than 1 sample in 200 near
+    /// code 0 are not clipped at code 0. Both tests tolerate rounding and the error of the black level.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         if is_at_code_0(p) {
             return seen.darkest_code.is_some_and(|code| code > 1.0);
@@ -76,7 +76,7 @@ impl Effect for BlackClipping {
         seen.darkest_dn.is_some_and(|dn| dn < p[LEVEL] - 1.0)
     }
 
-    /// Code 0 clips in any case.
+    /// A black level below 1 DN is clipped at code 0 anyway, so the example then clips above it.
     fn example(&self, plain: &Plain) -> Option<Vec<f64>> {
         Some(vec![if plain.black_dn < 1.0 { 1.0 } else { -0.5 }, 0.0])
     }
@@ -85,8 +85,8 @@ impl Effect for BlackClipping {
         vec![-8.0 / (1.0 + 15.0 * by), values[AT]]
     }
 
-    /// Any level between two edges of codes gives the same codes: the deviation of a uniform number within
-    /// one step.
+    /// All levels between two code edges give the same codes: standard deviation of a uniform distribution
+    /// over one step.
     fn resolution(&self, _: usize, _: &[f64], _: &Seen) -> f64 {
         1.0 / libm::sqrt(12.0)
     }

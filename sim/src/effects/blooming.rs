@@ -4,7 +4,7 @@ use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen,
 use crate::clipping::clipped;
 use crate::predict::{NORMAL, SetPrediction};
 
-/// Charge above the well goes to the pixels above and below.
+/// Overflow of charge above the well into the pixels above and below.
 pub struct Blooming;
 
 impl Effect for Blooming {
@@ -57,9 +57,9 @@ impl Effect for Blooming {
         }
     }
 
-    /// On a flat, charge stays in its column until all of it is full: the mean rises to the well itself. Half
-    /// of the excess goes to either neighbour, which then varies with it. With e the excess and m the charge
-    /// that stays, the variance is var m + var e / 2 and the covariance with the neighbour cov(m, e).
+    /// On a flat, charge stays in its column until the whole column is full: the mean rises to the well
+    /// itself. Each neighbour receives half of the excess and varies with it. With e the excess and m the
+    /// charge that stays, the variance is var m + var e / 2 and the covariance with the neighbour cov(m, e).
     fn predict(&self, p: &[f64], c: &Campaign, out: &mut Prediction) {
         let shot: Vec<f64> = out.sets.iter().map(SetPrediction::shot_over_signal).collect();
         let limited = |set: usize, signal: f64, part: f64, noise: f64| {
@@ -77,9 +77,9 @@ impl Effect for Blooming {
             let before = s.shot.lag(0, 0).max(1e-9);
             let left = limited(i, signal, 1.0, 1.0);
             let column = limited(i, signal, 0.5, 0.125);
-            // If neighbours are full as well, the excess goes on until it is no longer seen.
+            // If the neighbours are full as well, the excess moves on and its covariance is not observed.
             let room = 1.0 - left.above;
-            // Columns that are full show none of it either.
+            // Full columns show no covariance either.
             let open = 1.0 - column.above;
             let neighbour = 0.5 * (before - left.variance - left.lost_variance).max(0.0) * room * open;
             let own = (left.variance + 0.5 * left.lost_variance * room * room) * open;
@@ -91,8 +91,8 @@ impl Effect for Blooming {
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
             s.shot.shape(|ky, _| less + 2.0 * neighbour / before * libm::cos(ky));
             s.cut_light(column.above);
-            // The part of the excess that finds room depends on the order of bright and dark pixels in their
-            // column: between none of it, and all as long as the column has room.
+            // How much excess is absorbed depends on the order of bright and dark pixels: from none to all,
+            // if the column has room.
             let (none, all) = (left.mean, limited(i, signal, 0.0, 0.0).mean);
             s.unsure_mean = libm::hypot(s.unsure_mean, 0.25 * (all - none).abs());
             s.signal = column.mean;

@@ -12,9 +12,9 @@ pub struct BrighterFatter;
 /// Number of steps in which the charge of a frame is drawn.
 const STEPS: usize = 8;
 
-/// Ratio of the two axes that no sensor reaches (a named choice: CCDs show up to three).
+/// Axis ratio above which the effect is contradicted; CCDs reach 3 (a named choice).
 const ONE_SIDED: f64 = 4.0;
-/// Tolerance of the ratio of the axes, in standard errors of each.
+/// Margin of this ratio, in standard errors of each coefficient.
 const SURE: f64 = 2.0;
 
 impl Effect for BrighterFatter {
@@ -52,8 +52,8 @@ impl Effect for BrighterFatter {
         Needs::Variances
     }
 
-    /// Returns starts alike along both axes, and mostly along one. At least two levels of light are needed to
-    /// see growth with the square of the level.
+    /// Returns starts with equal coefficients of both axes, and with one dominant axis. Growth with the
+    /// square of the level is visible only from two levels of light on.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         if seen.lit_levels < 2 {
             return Vec::new();
@@ -142,8 +142,8 @@ impl Effect for BrighterFatter {
             let side = |dy, dx| shifted(&filled, dy, dx);
             let push = (side(1, 0) + side(-1, 0) - &filled * 2.0) * p[0]
                 + (side(0, 1) + side(0, -1) - &filled * 2.0) * p[1];
-            // On average half of the step's own charge is present while it arrives: one half step more on
-            // all.
+            // `push` ignores the charge of the current step, half of which is present on average; n/(n-1)
+            // corrects for it.
             filled = filled + &part + &whole * (1.0 / n) * push * (n / (n - 1.0));
         }
         d.image = filled;

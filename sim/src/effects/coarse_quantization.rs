@@ -8,8 +8,8 @@ const STEPS: [f64; 6] = [2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
 /// Index of `zero_dn`.
 const ZERO: usize = 1;
 
-/// Maximum relative deviation of a step from a whole number at which it counts as whole: 4.003, of a scale
-/// from 1023 to 4095, is three codes off at full scale and does not count (a named choice).
+/// Tolerance for treating a step as a whole number (a named choice). A step of 4.003 (4095/1023) is 3 codes
+/// off at full scale, so it is not whole.
 const WHOLE: f64 = 1e-4;
 
 /// Rounds the step to whole codes if it is whole.
@@ -17,9 +17,10 @@ fn to_whole(step: f64) -> f64 {
     if (step / step.round() - 1.0).abs() < WHOLE { step.round() } else { step }
 }
 
-/// Returns the error of a mean, one standard deviation, DN, if each code of a regular grid is rounded to a
-/// whole one and the levels cover `steps` steps; one code alone has 1 / root 12. Like the next function, it
-/// is a bound of the root mean squares over grids and levels (`multiplied_codes_are_within_the_bounds`).
+/// Returns an upper bound of the standard error of a mean, DN, after a noninteger step is rounded to whole
+/// codes. `steps`: standard deviation of the level distribution in steps; at 0 the bound is 1/root 12. This
+/// bound and the next hold for root mean squares over grids and levels
+/// (`multiplied_codes_are_within_the_bounds`).
 fn rounded_mean(steps: f64) -> f64 {
     1.0 / (libm::sqrt(12.0) * (1.0 + 0.45 * steps))
 }
@@ -29,7 +30,7 @@ fn rounded_variance(steps: f64) -> f64 {
     0.03 + 0.24 * libm::sqrt(steps)
 }
 
-/// Codes are multiples of a step.
+/// Rounding of codes to multiples of a step.
 pub struct CoarseQuantization;
 
 impl Effect for CoarseQuantization {
@@ -71,7 +72,7 @@ impl Effect for CoarseQuantization {
         (parameter == ZERO).then_some(0.0)
     }
 
-    /// Returns starts from the step that the codes show, and from usual ones.
+    /// Returns starts from the measured step, then from the steps of truncated bits.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let line = (seen.stretch_dn > 1.0).then(|| vec![to_whole(seen.stretch_dn), seen.stretch_zero_dn]);
         let share = seen.code_step_dn.filter(|s| *s > 1.2 && line.is_none()).map(f64::round);
@@ -86,7 +87,7 @@ impl Effect for CoarseQuantization {
         true
     }
 
-    /// A step of 4.003 codes, as of a scale from 1023 to 4095, leaves out the same share of them.
+    /// A step of 4.003 (4095/1023) omits the same share of the codes as a step of 4.
     fn resolution(&self, _: usize, _: &[f64], _: &Seen) -> f64 {
         0.01
     }

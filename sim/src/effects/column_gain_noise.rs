@@ -2,7 +2,7 @@
 
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 
-/// Each column of each frame times 1 + rel N(0, 1).
+/// Gain factor 1 + rel N(0, 1) of each column in each frame.
 pub struct ColumnGainNoise;
 
 impl Effect for ColumnGainNoise {
@@ -25,7 +25,7 @@ impl Effect for ColumnGainNoise {
         }]
     }
 
-    /// Stripes move columns together.
+    /// Periodic interference correlates neighbouring columns; column gain noise does not.
     fn told_by(&self) -> &'static [&'static str] {
         &["covariance of column means", "variance of frame gradients"]
     }

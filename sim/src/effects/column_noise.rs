@@ -29,7 +29,7 @@ impl Effect for ColumnNoise {
         }]
     }
 
-    /// Stripes move columns together.
+    /// Periodic interference correlates neighbouring columns; column noise does not.
     fn told_by(&self) -> &'static [&'static str] {
         &["covariance of column means", "variance of frame gradients"]
     }

@@ -28,8 +28,8 @@ fn expanded(p: &[f64], code: f64, full_scale_dn: f64) -> f64 {
     full_scale_dn * (sent / p[1]) * (sent / p[1])
 }
 
-/// Share of a step by which codes are apart over the whole range, above which no knee is seen (a named
-/// choice).
+/// Ratio of the code spacing over the whole range to the coarse step, above which the effect is coarse
+/// quantisation, not a knee (a named choice).
 const EVERYWHERE: f64 = 0.97;
 
 impl Effect for Companding {
@@ -87,8 +87,8 @@ impl Effect for Companding {
         parameter == 0 || (parameter >= 2) == (p[0] >= 0.5)
     }
 
-    /// Codes on one regular grid, and steps that are coarse from the darkest level on, are those of a coarse
-    /// converter: a table of roots and two slopes have steps of several sizes.
+    /// Codes on one regular grid, or coarse steps from the darkest level on, indicate coarse quantisation: a
+    /// square-root table or a knee has steps of several sizes.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         seen.stretch_dn > 1.0 || p[0] >= 0.5 && seen.code_step_dn.is_some_and(|step| step > EVERYWHERE * p[3])
     }
@@ -149,10 +149,10 @@ impl Effect for Companding {
             let added = over(&|q| (q * q - 1.0) / 12.0);
             s.read.add_white(added.max(0.0));
             if p[0] < 0.5 && here > 1.001 {
-                // The squares of the roots are rounded to whole codes, each by its own part of one, and whole
-                // codes fall between the table's steps in a pattern of their own: steps of few codes do not
-                // average out. Bounds of the root mean squares over tables and levels that
-                // tests/outside/companding.py prints.
+                // The squares of the roots are rounded to whole codes, each by a different fraction of a
+                // code. Whole codes also fall between the table's steps in an irregular pattern, so steps of
+                // few codes do not average out. Bounds: root mean squares over tables and levels from
+                // tests/outside/companding.py.
                 let r = libm::sqrt(wide.max(0.0));
                 let (square, variance) = (here * here, s.covariance(0, 0));
                 let of_variance = 0.3 / here;
@@ -164,8 +164,8 @@ impl Effect for Companding {
                 s.unsure_fourth = libm::hypot(s.unsure_fourth, fourth * variance * variance);
             }
             if p[0] >= 0.5 {
-                // Half a step above a code is rounded up: whole codes move by half a code on average in an
-                // even step, by nothing in an odd one.
+                // A value in the middle of a step is rounded up: whole codes move by half a code on average
+                // if the step is even, and not at all if it is odd.
                 let above = over(&|q| f64::from(u8::from(q > 1.0)));
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.5 * above);
             }

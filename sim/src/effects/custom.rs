@@ -12,13 +12,14 @@
 //!
 //! Formulas give the change of `mean` (DN), of `variance`, `row`, `column`, `common` (DN^2), of the gradient
 //! and the curvature of frames down the rows and across the columns (`gradient_y`, `gradient_x`,
-//! `curvature_y`, `curvature_x`, DN^2, mean over the pixels), of the covariance `cov_YX` of pixels Y rows and
-//! X columns apart (up to 3 of each; both diagonals alike), of `cov_1-1` (what the diagonal up to the right
-//! has beyond the other), and of `parity_01`, `parity_10` (what a neighbour covariance from odd columns, rows
-//! has more than from even ones). They are formulas of the parameters, of mu (mean above the black level,
-//! DN), noise (variance of a pixel without the effect, DN^2), exposure (s) and illumination (relative to the
-//! bench's unit). `mean` may also use time (s from the first frame) and odd (1 in every second frame, else
-//! 0); when frames are drawn, `mean` and `variance` may also use row, column and parity (0 or 1).
+//! `curvature_y`, `curvature_x`, DN^2, mean over the pixels), and of covariances (DN^2). `cov_YX`: covariance
+//! of pixels Y rows and X columns apart (up to 3 of each; both diagonals alike). `cov_1-1`: covariance along
+//! the diagonal up to the right minus that along the other. `parity_01`, `parity_10`: neighbour covariance
+//! starting at odd columns (rows) minus that at even ones. Formulas may use the parameters, mu (mean above
+//! the black level, DN), noise (variance of a pixel without the effect, DN^2), exposure (s) and illumination
+//! (relative to the bench's unit). `mean` may also use time (s from the first frame) and odd (1 in every
+//! second frame, else 0); when frames are drawn, `mean` and `variance` may also use row, column and parity (0
+//! or 1).
 
 use super::own::page_of;
 use super::{Campaign, Drawing, Effect, OwnPage, Page, Parameter, Plain, Prediction, Stage};
@@ -76,7 +77,7 @@ pub const UNBOUNDED: f64 = 1e12;
 /// Maximum number of characters of a formula. The parser's time grows with their square: the longest allowed
 /// takes some milliseconds, 10^6 took minutes.
 const MAX_FORMULA_CHARACTERS: usize = 10_000;
-/// Maximum depth of nested parentheses; each level takes a step of the stack.
+/// Maximum depth of nested parentheses; each level takes a stack frame.
 const MAX_FORMULA_DEPTH: usize = 200;
 /// Maximum number of parameters of an effect of formulas. A fit cannot use more.
 const MAX_PARAMETERS: usize = 1000;
@@ -377,9 +378,9 @@ impl Effect for Custom {
         }
     }
 
-    /// Draws covariances beside a variance as noise of their own, with odd and even lines alike. Without a
-    /// variance they are what neighbours share of the existing noise, to first order: up to a tenth of the
-    /// variance. A negative variance is predicted only.
+    /// Draws covariances together with a variance as separate noise, with odd and even lines alike. Without a
+    /// variance, neighbours share the existing noise, to first order: up to a tenth of the variance. A
+    /// negative variance is predicted only.
     fn draw(&self, p: &[f64], d: &mut Drawing<'_>) {
         let level = d.image.mean().unwrap_or(0.0);
         let odd = (d.frame % 2) as f64;
@@ -504,8 +505,8 @@ fn power((y, x): (usize, usize), covariance: f64, ky: f64, kx: f64) -> f64 {
     twice(y) * twice(x) * covariance * libm::cos(y as f64 * ky) * libm::cos(x as f64 * kx)
 }
 
-/// Gives independent noise of this variance these covariances, to first order: each pixel gets a part of
-/// others. `parity` is the covariance of neighbours from odd columns and rows beyond that from even ones.
+/// Gives independent noise of this variance the covariances, to first order: each pixel gets a fraction of
+/// others. `parity`: covariance of neighbours starting at odd columns and rows minus that at even ones.
 fn share(
     image: &mut ndarray::Array2<f64>,
     variance: f64,
@@ -539,8 +540,8 @@ fn share(
     add(1, 0, &|y, _| parity[1] * sign(y));
 }
 
-/// Filters white noise to this variance and these covariances. If no noise has them, the result is the
-/// nearest that exists.
+/// Filters white noise to this variance and these covariances. If no noise can have them, the result is the
+/// nearest possible noise.
 fn correlated(
     white: &ndarray::Array2<f64>,
     variance: f64,

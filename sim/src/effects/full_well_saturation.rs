@@ -135,10 +135,9 @@ impl Effect for FullWellSaturation {
             }
             s.cut(less, &left);
             s.cut_shot(less, left.above);
-            // The pixels' levels are known at a few places: it is only roughly known which of them lie above
-            // the knee.
+            // Nine level groups represent the pixels, so the share of pixels above the knee is uncertain.
             let rest = left.variance + read;
-            // If nearly all pixels are cut, the noise that is left is that of a few in the tails.
+            // If nearly all pixels are clipped, the remaining noise is that of a few in the tails.
             let unknown = 0.1 + 0.9 * left.above.powi(4);
             s.unsure_var = libm::hypot(s.unsure_var, unknown * (1.0 - less) * left.variance);
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));

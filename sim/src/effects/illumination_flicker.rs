@@ -5,7 +5,7 @@ use super::{
     Stage, other_ripple, ripple_left, spread_of, takes,
 };
 
-/// Light of each frame times 1 + rel N(0, 1), or a lamp's ripple met by exposures at any phase.
+/// Light of each frame times 1 + rel N(0, 1), or a lamp ripple sampled by exposures at random phase.
 pub struct IlluminationFlicker;
 
 /// Indexes of the parameters.
@@ -37,7 +37,7 @@ impl Effect for IlluminationFlicker {
                 meaning: "standard deviation of the light from frame to frame, relative",
                 unit: "1",
                 min: 0.0,
-                // A lamp that goes dark between the peaks of a sine has 1 / sqrt(2).
+                // A lamp that is dark between the peaks of a sine has 1 / sqrt(2).
                 max: 0.71,
                 starts: &[0.002],
             },
@@ -65,21 +65,21 @@ impl Effect for IlluminationFlicker {
         (p[RIPPLE_HZ] > 0.0).then_some("the ripple of a lamp, which longer exposures average")
     }
 
-    /// Starts from the frequencies that the scatter under several exposures tells, and from those of the
-    /// mains.
+    /// Starts at the ripple frequencies estimated from the scatter at several exposures, then at the mains
+    /// frequencies.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let several = seen.lit_s.0 < ONE_EXPOSURE * seen.lit_s.1;
         let told = seen.flicker_hz.into_iter().flatten().chain(MAINS_HZ).filter(|_| several);
         std::iter::once(vec![0.002, 0.0]).chain(told.map(|hz| vec![0.02, hz])).collect()
     }
 
-    /// A ripple too slow to fade with the exposure is flicker of all exposures.
+    /// A ripple too slow to decrease with the exposure is flicker at all exposures.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         p[RIPPLE_HZ] > 0.0 && p[RIPPLE_HZ] * seen.lit_s.1 < NO_TURN
     }
 
-    /// A third of the distance to the farther of the two ripples that fit within three standard errors; their
-    /// amplitude is that of a sine.
+    /// Returns a third of the distance to the farther of the two ripples that fit within three standard
+    /// errors; amplitudes are converted to rms (divided by root 2).
     fn resolution(&self, parameter: usize, p: &[f64], seen: &Seen) -> f64 {
         let ripples = seen.flickers.filter(|_| p[RIPPLE_HZ] > 0.0);
         match parameter {

@@ -6,22 +6,22 @@ use super::{
 };
 use crate::predict::Ripple;
 
-/// The rows of a frame share a light factor that changes down the image and from frame to frame.
+/// Light factor common to a row, which changes down the image and from frame to frame.
 pub struct LightBanding;
 
-/// Minimum correlation of a wander from row to row. Rows are read some 10 us apart: light that decorrelates
-/// within six of them changes faster than lamps do.
+/// Minimum correlation of random light changes from row to row. Rows are read some 10 us apart: lamps do not
+/// decorrelate within six rows.
 const SHORTEST: f64 = 0.85;
 
-/// Correlation of the first row with the last above which a wander moves whole frames: 1/e, bands as tall as
-/// the frame (a named choice).
+/// Correlation of the first row with the last above which random light changes move whole frames: 1/e, bands
+/// as tall as the frame (a named choice).
 const WHOLE_FRAMES: f64 = 0.368;
 
 /// Minimum ripple frequency of a lamp: twice the frequency of the slowest supply, a railway's 16.7 Hz.
 const SLOWEST_HZ: f64 = 33.0;
-/// Step between ripple frequencies that are tried, in turns within the longest exposure, and their number. A
-/// PWM lamp turns some twenty times within it.
+/// Step between tried ripple frequencies, in cycles per longest exposure.
 const LOBE: f64 = 0.3;
+/// Number of tried ripple frequencies. They reach 21 cycles per longest exposure; a PWM lamp makes about 20.
 const LOBES: u32 = 70;
 
 impl Effect for LightBanding {
@@ -90,9 +90,10 @@ impl Effect for LightBanding {
         Some(if p[0] >= 0.5 { "a slow wander down the rows" } else { "a sine down the rows" })
     }
 
-    /// Starts from the peaks of the spectrum of the row means, then from fixed frequencies, each with the
-    /// ripples that the exposures tell. If they tell none: with the ripple of the mains, and with one ripple
-    /// for each lobe of sinc(f T), since a fit does not cross from one lobe to the next.
+    /// Returns starts at the peaks of the spectrum of the row means, then at fixed frequencies. Each is
+    /// combined with the ripple frequencies estimated from the exposure series. Without an estimate: slow
+    /// ripples (0.2 and 1 cycle per frame); peaks also with mains ripple and with a series of ripples closer
+    /// than a lobe of sinc(f T), since a fit does not cross from one lobe to the next.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let rows = seen.rows.max(2.0);
         let per_image = [0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0].map(|n| n / rows);
@@ -117,7 +118,8 @@ impl Effect for LightBanding {
         all
     }
 
-    /// Light shared by all rows of a frame is flicker; light shared by adjacent rows only is not a lamp's.
+    /// Light common to all rows of a frame is flicker; light common to adjacent rows only does not come from
+    /// a lamp.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         if p[0] >= 0.5 {
             libm::pow(p[4], seen.rows) > WHOLE_FRAMES || p[4] < 1.001 * SHORTEST
@@ -128,7 +130,8 @@ impl Effect for LightBanding {
 
     fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
         let (shortest_s, longest_s) = seen.lit_s;
-        // Exposures that tell: the longest is at least half a ripple of a lamp, and one is far shorter.
+        // Informative exposures: the longest is at least half a ripple period of a lamp, and one is far
+        // shorter.
         let tells = longest_s * SLOWEST_HZ > 0.5 && shortest_s < 0.5 * longest_s;
         let stays = p[0] < 0.5 && p[3] * longest_s < NO_TURN;
         (tells && stays).then_some(
@@ -136,7 +139,8 @@ impl Effect for LightBanding {
         )
     }
 
-    /// A third of the distance to the farther of the two ripples that fit within three standard errors.
+    /// Returns a third of the distance to the farther of the two ripples that fit within three standard
+    /// errors.
     fn resolution(&self, parameter: usize, p: &[f64], seen: &Seen) -> f64 {
         let ripples = seen.ripples.filter(|_| p[0] < 0.5);
         match parameter {
@@ -152,7 +156,7 @@ impl Effect for LightBanding {
         Some(format!("at {:.2} ms bands are {shown:.3} % of the signal, and {others}", 1e3 * seen.lit_s.0))
     }
 
-    /// A field that changes its shape moves columns too.
+    /// A light field of varying shape correlates columns as well.
     fn told_by(&self) -> &'static [&'static str] {
         &["covariance of column means", "variance of column means", "variance of frame gradients"]
     }
@@ -251,7 +255,7 @@ mod tests {
             LightBanding.contradicted(&[0.0, 0.003, 0.01, hz, 0.0], &[], &seen).is_none()
         };
         assert!(stands(100.0, 0.02) && !stands(0.0, 0.02));
-        // Exposures too short to tell.
+        // Exposures too short to distinguish ripples.
         assert!(stands(0.0, 0.002));
     }
 }

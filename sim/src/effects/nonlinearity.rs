@@ -76,12 +76,12 @@ fn bent(p: &[f64], full_scale_dn: f64) -> impl Fn(f64) -> f64 {
     }
 }
 
-/// Share of the brightest level above which a knee may be a well that fills, and slope above the knee below
-/// which it is (named choices: amplifiers bend by less).
+/// Minimum level of the knee of a full well, relative to the brightest level.
 const FILLING: f64 = 0.85;
+/// Maximum slope above this knee for a full well (named choices: amplifiers bend by less).
 const FILLS: f64 = 0.75;
 
-/// Shape that is a table of whole codes.
+/// Shape with a table of whole codes.
 const WHOLE_CODE: i32 = 9;
 
 /// Standard deviation of the rounding error, in codes: root 1/12.
@@ -96,7 +96,7 @@ fn is_of_whole_code(p: &[f64]) -> bool {
 fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
     let (full, black) = (c.full_scale_dn, out.base.offset_dn.max(1e-3));
     let before = full * libm::pow(black / full, 1.0 / g);
-    // Table codes lie a slope apart: if the slope is above 1, some codes do not occur.
+    // The spacing of the table's codes equals its slope: above 1, some codes do not occur.
     let slope = |level: f64| g * libm::pow((level.max(1.0)) / full, g - 1.0);
     for (i, s) in out.sets.iter_mut().enumerate() {
         let spread = c.sets.get(i).map_or(0.0, |s| s.spread_dn);
@@ -106,9 +106,9 @@ fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
         let used: f64 = all.map(|(x, share)| share * (1.0 / slope(level + spread * x)).min(1.0)).sum();
         s.codes_used *= used;
         let here = slope(level);
-        // The table's own rounding runs through its phases by the slope less 1 per code. It averages out if
-        // the noise and the levels cover a turn (Widrow and Kollar 2008, ch. 4). Where codes are a slope
-        // apart, noise must cover that distance.
+        // The rounding error of the table is periodic in the code, with (slope - 1) cycles per code. It
+        // averages out if the noise and the levels cover a cycle (Widrow and Kollar 2008, ch. 4). If the
+        // slope is above 1, the noise must cover the spacing of the codes.
         let (turn, variance) = (here - 1.0, s.covariance(0, 0));
         let square = 2.0 * std::f64::consts::PI * std::f64::consts::PI;
         let left = libm::exp(-square * turn * turn * (variance + spread * spread));
@@ -279,11 +279,10 @@ impl Effect for Nonlinearity {
         Needs::Variances
     }
 
-    /// A slope near 0 above the knee is a full well: charge still rises by a few per cent of what light
-    /// brings, since pixels differ and few are full at first. A knee in the last part of the range is a well
-    /// that fills: so few levels lie beyond it that two slopes are as near as any curve. A toe as wide as the
-    /// range is a bend, which other shapes describe. A toe within the noise of darks is a difference between
-    /// darks and lit frames.
+    /// A slope near 0 above the knee is a full well: charge still rises by a few per cent of the light, since
+    /// pixels differ and few are full at first. A knee near the end of the range also is a full well: too
+    /// few levels lie beyond it to tell two slopes from a curve. A toe as wide as the range is a bend, which
+    /// other shapes describe. A toe within the noise of darks is a difference between darks and flats.
     fn is_another(&self, p: &[f64], seen: &Seen) -> bool {
         match p[0].round() as i32 {
             5 => p[KNEE + 1] < 0.1 || p[KNEE] > FILLING * seen.peak_dn && p[KNEE + 1] < FILLS,

@@ -36,8 +36,8 @@ fn cycles(p: &[f64], columns: usize) -> (f64, f64) {
     }
 }
 
-/// Maximum distance of a line from half a cycle a pixel, in cycles a row, at which it may lie there (a named
-/// choice).
+/// Maximum distance of a line from the Nyquist frequency, cycles per row, for which a start exactly at
+/// Nyquist is added (a named choice).
 const NEAR_HALF: f64 = 2.0;
 
 impl Effect for PeriodicInterference {
@@ -111,14 +111,15 @@ impl Effect for PeriodicInterference {
             vec![self.parameters()[0].starts[0], cycles_per_px.clamp(0.0, 0.5), blanking, shape]
         };
         let line = seen.line_cycles_per_px.into_iter();
-        // Clock of half the pixel rate: its line folds upon itself, and a fit from beside it ends beside it.
+        // Clock of half the pixel rate: its line is at Nyquist and aliases onto itself; a fit started beside
+        // it does not reach it.
         let half = line.clone().filter(|f| 0.5 - f < NEAR_HALF / columns);
         let half = half.flat_map(|_| [0.0, 0.5].map(|blanking| start(0.5, blanking, 0.0)));
         let tooth =
             |f: f64| [0.0, -0.25, 0.25, -0.45, 0.45].map(|away| start(f + away / columns, -away, 0.0));
         let in_step = |f: f64| start(f, 0.0, 1.0);
         let by_row = |f: f64| start(f, 0.0, 2.0);
-        // Row means do not tell the sign of the phase step from row to row.
+        // Row means do not determine the sign of the phase step from row to row.
         let mirrored = |f: f64| f + (1.0 - 2.0 * (f * columns).fract()) / columns;
         let line = line.flat_map(|f| [f, mirrored(f)]);
         let stripes = seen.column_cycles.map(in_step).into_iter();
@@ -126,7 +127,7 @@ impl Effect for PeriodicInterference {
         line.flat_map(tooth).chain(half).chain(stripes).chain(of_rows).collect()
     }
 
-    /// Default: a camera whose rows follow one another at once.
+    /// Default: a camera without blanking between rows.
     fn usual(&self, parameter: usize) -> Option<f64> {
         (parameter == 2).then_some(0.0)
     }

@@ -69,7 +69,7 @@ impl Effect for ReadNoiseCorrelation {
         })
     }
 
-    /// Read noise is the same at every light level.
+    /// Returns the covariance of row neighbours: for read noise it is the same at every light level.
     fn told_by(&self) -> &'static [&'static str] {
         &["covariance (0,1)"]
     }

@@ -3,7 +3,7 @@
 use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
 use ndarray::Axis;
 
-/// Every pixel of a column gets the column's mean light for some time, whatever the exposure.
+/// Mean light of the column, added to each of its pixels for a fixed time at any exposure.
 pub struct Smear;
 
 impl Effect for Smear {
@@ -15,8 +15,8 @@ impl Effect for Smear {
         &["vertical smear", "streak"]
     }
 
-    /// Returns 2 ln 3. Global shutters of CMOS sensors have no smear, and one camera in three sold is a CCD
-    /// (a named choice).
+    /// Returns 2 ln 3, the evidence penalty of a cause that is three times rarer: CMOS global shutters have
+    /// no smear, and one camera in three sold is a CCD (a named choice).
     fn rarer(&self) -> f64 {
         2.2
     }

@@ -124,22 +124,22 @@ impl Effect for SpatialFilter {
                 .for_each(|s| s.filter(&Filter::new(&power(strength)).of_weights(weights(strength, d))));
             return;
         }
-        // The pattern of the offsets, which alone is left in the darkest sets, is not smooth like shading.
+        // The offset pattern, which alone remains in the darkest sets, is not smooth like shading.
         let known = c.sets.iter().map(|s| s.spread_dn).filter(|s| *s > 0.0);
         let pattern = known.fold(f64::INFINITY, f64::min).min(1e3);
         for (i, s) in out.sets.iter_mut().enumerate() {
             // The pattern of a long dark includes its dark current.
             let dark = c.sets.get(i).filter(|s| s.light.is_none() && s.spread_dn > 0.0);
             let pattern = dark.map_or(pattern, |s| s.spread_dn);
-            // Every code gets floor(s (v - mean of neighbours) + 1/2): with four neighbours, a quarter of s
-            // times a whole number.
+            // Each code is corrected by floor(s (v - mean of neighbours) + 1/2): with four neighbours, the
+            // argument is a quarter of s times a whole number.
             let x = s.pixels();
             let (whole, square) = if d == 0.0 { (0.25, 20.0) } else { (0.125, 72.0) };
             let correction =
                 Correction::new(whole * strength, libm::sqrt(square * x), libm::sqrt(square) * pattern);
             let (slope, noise) = correction.linear();
-            // The part that passes thresholds by the pattern alone is known to half: five places tell no more
-            // of tails.
+            // The part that crosses thresholds because of fixed pattern alone is uncertain by half: five
+            // quadrature nodes do not resolve the tails.
             let (bare_slope, bare_noise) =
                 Correction::new(whole * strength, libm::sqrt(square * x), 0.0).linear();
             let by_pattern = (noise - bare_noise).abs() + 2.0 * x * (slope - bare_slope).abs() / whole;
@@ -149,7 +149,7 @@ impl Effect for SpatialFilter {
             s.filter(&Filter::new(&power(strength)).of_weights(weights(strength, d)));
             s.read.add_white(noise);
             s.moved = s.moved.max(correction.moves());
-            // Five places stand for the pattern of the levels: its part is known to its own size only.
+            // Fixed pattern is represented by five nodes, so its contribution has a 100 % uncertainty.
             let unequal = correction.unequal(2.0 * x / whole);
             s.unequal += unequal;
             s.unsure = libm::hypot(s.unsure, unequal);

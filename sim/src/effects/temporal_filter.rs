@@ -23,9 +23,10 @@ const FRAMES: [&str; 7] = [
 ];
 /// Maximum number of frames of that mean.
 const MOST_FRAMES: usize = FRAMES.len() + 1;
-/// Largest mean, in frames, for which the noise after a change of level is predicted; and relative error of
-/// the noise of larger means (a named choice: in the standard plan a mean of four moves the gain by 7 %).
+/// Maximum mean, in frames, for which the noise after a change of level is predicted.
 const FOLLOWED: usize = 3;
+/// Relative error of the noise of larger means (a named choice: in the standard plan a mean of four changes
+/// the gain by 7 %).
 const UNSURE_NOISE: f64 = 0.3;
 /// Value of `kept` for the mean of the last frames.
 const MEAN_OF_LAST: f64 = 3.0;
@@ -99,14 +100,14 @@ fn average_last(n: usize, c: &Campaign, out: &mut Prediction) {
     out.whole = true;
 }
 
-/// A change of level between two frames, DN.
+/// Change of level between two frames, DN.
 struct Change<'a> {
-    /// Level of the last frame less that of this one.
+    /// Level of the last frame minus that of this one.
     away: f64,
-    /// Deviation of this difference from pixel to pixel, at these places.
+    /// Standard deviation of this difference over the pixels, whose levels are in nine groups (`places`).
     across: f64,
     places: &'a [f64; SHARES.len()],
-    /// Noise of the two frames together.
+    /// Standard deviation of the noise of both frames together.
     noise: f64,
 }
 
@@ -119,12 +120,13 @@ impl Change<'_> {
         self.places.iter().zip(SHARES).map(at).sum()
     }
 
-    /// Returns the uncertainty of this step. The pixels' levels are known at a few places: to a seventh of
-    /// their deviation (a named choice). A step in proportion to the change is not affected.
+    /// Returns the uncertainty of this step. The pixels' levels are represented by nine groups, with an error
+    /// of a seventh of their standard deviation (a named choice). A step in proportion to the change is not
+    /// affected.
     fn unsure(&self, a: f64) -> f64 {
         let by = libm::hypot(self.noise, self.across) / 7.0;
         let away = 0.5 * (self.step(a, by) - self.step(a, -by)) - a * by;
-        // With little noise, the side of a threshold on which whole codes lie is unknown too.
+        // With little noise, the position of whole codes relative to a threshold is unknown too.
         let whole = libm::exp(-0.5 * libm::pow(std::f64::consts::TAU, 2.0) * self.noise * self.noise);
         libm::hypot(away, whole / libm::sqrt(12.0))
     }
@@ -164,7 +166,7 @@ impl Added {
             Self { slope, noise, share: x / (x + before).max(f64::MIN_POSITIVE), correction }
         };
         if fine(p) {
-            // The running mean itself is kept, however little of it is sent.
+            // The running mean itself is kept in fractions of a code; only the output is rounded.
             return with(x * running_average(a).0);
         }
         // The kept mean has the noise of the output.
@@ -195,17 +197,17 @@ impl Added {
         }
         s.moved = s.moved.max(self.correction.moves());
         if first.moves {
-            // While the level still moves, rounding follows the noise of one frame in a few with the density
-            // of alpha u at a threshold in place of its mean, 1: up to (2 pi)^(-1/2) / sd. The variance
-            // follows with twice that.
+            // While the level changes, pixels lie at a threshold of the correction floor(alpha u + 1/2).
+            // There its slope equals the density of u, up to 1 / (root(2 pi) sd) with sd the noise of u,
+            // instead of alpha. The variance changes by twice this slope, in about one frame of three.
             let x = s.pixels();
             let slope = 1.0 / libm::sqrt(std::f64::consts::TAU * x.max(1.0));
             s.unsure_moving = libm::hypot(s.unsure_moving, 2.0 * slope * x / 3.0);
         }
         s.unsure_first = libm::hypot(s.unsure_first, first.unsure_dn);
-        // Only samples far from the mean are moved, and towards it: tails become short. If the mean is kept
-        // in parts of a code, the previous frame is not the kept mean; the part that both share is not
-        // predicted and is as large again.
+        // Only samples far from the mean are changed, and towards it: the tails become short. If the mean is
+        // kept in fractions of a code, the previous frame is not the kept mean; the fourth cumulants that
+        // both share are not predicted and are as large again.
         let [fourth, shared @ ..] = self.correction.fourth(self.share);
         s.fourth += fourth;
         let of_frames = if fine(p) {
@@ -214,24 +216,24 @@ impl Added {
             s.fourth_next = shared;
             0.2
         };
-        // The side of a threshold on which whole codes lie differs from pixel to pixel.
+        // The position of whole codes relative to a threshold differs from pixel to pixel.
         s.unsure_fourth = libm::hypot(s.unsure_fourth, of_frames * fourth);
         s.unsure = libm::hypot(s.unsure, 0.2 * fourth);
     }
 }
 
-/// Remainder in the running mean of the level before the set's.
+/// Remainder of the previous set's level in the running mean.
 struct Carried<'a> {
-    /// Deviation of the remainder from pixel to pixel, at these places, DN.
+    /// Standard deviation of the remainder over the pixels (level groups `places`), DN.
     across: f64,
     places: &'a [f64; SHARES.len()],
     /// Variance of its noise, DN^2.
     before: f64,
 }
 
-/// Deviation of the remainder of a change, times alpha, in codes, below which it no longer decides which
-/// codes are kept: a rounded mean keeps 0.95 of its sawtooth, exp(-2 pi^2 0.05^2) (Widrow and Kollar 2008,
-/// ch. 4).
+/// Standard deviation of the remainder of a change, times alpha, in codes, below which the remainder no
+/// longer affects rounding: a rounded mean keeps 0.95 of its sawtooth, exp(-2 pi^2 0.05^2) (Widrow and Kollar
+/// 2008, ch. 4).
 const FORGOTTEN: f64 = 0.05;
 
 /// Moves the means of all frames in the order of time; returns the changes of the first frames of each set.
@@ -265,8 +267,8 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
         let own = of_set.noise + sets[frame.set].pixels();
         let step = if set == Some(frame.set) {
             let step = match &mut carried {
-                // The remainder of the change differs from pixel to pixel as the change did, and has the
-                // noise of the previous level. Neither matters if the set's own noise passes many thresholds.
+                // The remainder varies over the pixels as the change did, and has the noise of the previous
+                // level. Neither matters if the set's own noise spans many thresholds.
                 Some(left) if of_set.correction.narrow() > 0.0 => {
                     (left.across, left.before) = (a * left.across, a * a * left.before);
                     let noise = libm::sqrt(of_set.correction.variance() + left.before);
@@ -289,7 +291,7 @@ fn move_frames(p: &[f64], c: &Campaign, out: &mut Prediction, added: &[Added]) -
                 places: &c.sets[if away > 0.0 { from } else { frame.set }].places,
             };
             first.unsure_dn = libm::hypot(first.unsure_dn, change.unsure(a));
-            // A mean kept in parts of a code is not rounded from frame to frame.
+            // A mean kept in fractions of a code is not rounded from frame to frame.
             carried = (!fine(p)).then_some(Carried {
                 across: change.across,
                 before: before_var,
@@ -331,8 +333,8 @@ impl Effect for TemporalFilter {
                 max: 0.9,
                 starts: &[0.05],
             },
-            // Mean in whole codes; in parts of a code; in parts of a code from samples with more bits than
-            // the output.
+            // Mean in whole codes; in fractions of a code; in fractions of a code from samples with more bits
+            // than the output; mean of the last frames.
             Parameter {
                 name: "kept",
                 meaning: "0: the mean is kept in whole codes, 1: in parts of a code, 2: of samples with more bits than are sent; 3: the mean of the \
@@ -378,7 +380,7 @@ impl Effect for TemporalFilter {
         (parameter == 2).then_some(2.0)
     }
 
-    /// A smaller weight is charge that a pixel keeps.
+    /// A smaller weight indicates image lag (charge kept in the pixel).
     fn is_another(&self, p: &[f64], _: &Seen) -> bool {
         frames_of_mean(p).is_none() && p[0] < LEAST
     }
@@ -443,7 +445,7 @@ impl Effect for TemporalFilter {
             }
             return;
         }
-        // Every code gets floor(alpha (last - now) + 1/2), whether the kept mean is rounded or not.
+        // Each code is changed by floor(alpha (last - now) + 1/2), whether the kept mean is rounded or not.
         let added: Vec<Added> = out.sets.iter().map(|s| Added::to(s, p)).collect();
         let firsts = move_frames(p, c, out, &added);
         for ((s, added), first) in out.sets.iter_mut().zip(&added).zip(&firsts) {

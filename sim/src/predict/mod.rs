@@ -173,7 +173,7 @@ impl Prediction {
         let square = step * step;
         let mut shifts = vec![0.0; self.sets.len()];
         let taps = self.taps;
-        // The largest of the steps between several kinds of parts counts.
+        // With several tap patterns, the largest level difference is used.
         let apart = |signal: f64| {
             let steps = taps.map(|(gain, offset)| gain * signal + offset);
             steps.into_iter().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a })
@@ -196,7 +196,7 @@ impl Prediction {
                 // of the pixels that are not clipped.
                 let slope = upper(-level / libm::sqrt(variance + spread * spread).max(0.02));
                 let found = rounded_from_zero(level, spread / slope.clamp(0.3, 1.0), places, variance);
-                // The pixels' levels are known at a few places only.
+                // The distribution of the pixels' levels is represented by nine groups only.
                 s.unsure = libm::hypot(s.unsure, 0.3 * square * square * found.unequal);
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.02 * step * found.mean.abs());
                 found
@@ -244,8 +244,8 @@ impl Prediction {
         }
     }
 
-    /// Applies a curve to every pixel: the noise of each gets the slope averaged over the noise, and the
-    /// level is averaged over the pixels' places.
+    /// Applies a curve to every pixel. The noise of each pixel is multiplied by the slope averaged over the
+    /// noise; the level is averaged over the nine level groups.
     pub fn bend(&mut self, c: &Campaign, curve: impl Fn(f64) -> f64) {
         let before: Vec<f64> = self.sets.iter().map(|s| s.signal).collect();
         let noise: Vec<f64> = self.sets.iter().map(|s| libm::sqrt(s.covariance(0, 0).max(1e-6))).collect();
@@ -270,7 +270,7 @@ impl Prediction {
             let own = s.pixels();
             let level = s.signal;
             s.signal = all.iter().map(|(share, mean, _)| share * mean).sum();
-            // The field's part of a bend is known at a few places only.
+            // The curve's effect on shading is evaluated at nine levels only.
             s.unsure_mean =
                 libm::hypot(s.unsure_mean, OF_PLACES * (s.signal - pixel(level, noise[set]).0).abs());
             let bent: Vec<f64> = all.iter().map(|(_, mean, _)| mean - s.signal).collect();

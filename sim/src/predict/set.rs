@@ -74,16 +74,16 @@ pub struct SetPrediction {
     pub moved: f64,
     /// Model uncertainty of the mean, e, then DN.
     pub unsure_mean: f64,
-    /// Deviation of a pixel's mean from an offset and a gain of its own, one standard deviation, e, then DN.
+    /// RMS residual of a pixel's mean from its own straight line (offset and gain), e, then DN.
     pub uneven: f64,
     /// Lines in the spectrum: (variance, phase from column to column, phase from row to row), radians.
     pub lines: Vec<(f64, f64, f64)>,
     /// Change of the neighbour covariances per unit of distance from the output, as a share of the shot
     /// variance: along rows, along columns, over the whole sensor.
     pub growth: (f64, f64),
-    /// Covariance with the next column from odd columns less that from even ones; the same with the next row.
+    /// Covariance with the next column starting at odd columns minus that at even ones; the same for rows.
     pub parity: (f64, f64),
-    /// Covariance along the diagonal up to the right less that along the other.
+    /// Covariance along the diagonal up to the right minus that along the other.
     pub uphill: f64,
     /// Share of the codes around the level that occur.
     pub codes_used: f64,
@@ -221,11 +221,11 @@ impl SetPrediction {
         self.pixels_follow(less);
         self.unequal += left.unequal;
         self.fourth += left.fourth;
-        // The pixels' levels are known at a few places. If nearly all are clipped, next to nothing is known
-        // of the few that are not.
+        // The pixels' levels are represented by nine groups. If nearly all pixels are clipped, the few others
+        // are almost undetermined.
         self.unsure = libm::hypot(self.unsure, (0.3 + 0.7 * left.above * left.above) * left.unequal);
         self.unsure_mean = libm::hypot(self.unsure_mean, 0.1 * left.lost * (1.0 - left.above));
-        // Pixels lie on both sides of the limit: they deviate by no more than the excess that is cut off.
+        // Pixels lie on both sides of the limit; their residual is at most the excess that is clipped.
         self.uneven = libm::hypot(self.uneven, left.lost * (1.0 - left.above));
     }
 
@@ -234,9 +234,8 @@ impl SetPrediction {
         if self.signal > 0.0 { self.shot.lag(0, 0) / self.signal } else { 1.0 }
     }
 
-    /// Clips shot noise: `less` is the share of its variance that is left, `above` the share of the pixels at
-    /// the limit. Noise that two pixels share is left where neither is at the limit, to first order in their
-    /// correlation.
+    /// Clips shot noise. `less`: remaining share of its variance; `above`: share of the pixels at the limit.
+    /// Noise shared by two pixels survives only if neither is clipped (to first order in their correlation).
     pub(crate) fn cut_shot(&mut self, less: f64, above: f64) {
         let both = (1.0 - above) * (1.0 - above);
         let own = (less - both) * self.shot.lag(0, 0);
@@ -244,8 +243,8 @@ impl SetPrediction {
         self.shot.add_white(own);
     }
 
-    /// Applies a curve to charge, before read noise. `less` is the share of the shot-noise variance that is
-    /// left, `at` the mean level after the curve, `bent` the levels at the pixels' places after it.
+    /// Applies a curve to charge, before read noise. `less`: remaining share of the shot-noise variance;
+    /// `at`: mean level after the curve; `bent`: levels of the pixel groups after it.
     pub(crate) fn bend_shot(
         &mut self,
         less: f64,
@@ -259,7 +258,7 @@ impl SetPrediction {
         self.pixels_follow(less);
         self.unequal += left.unequal;
         self.fourth += left.fourth;
-        // The field's part of a bend is known at a few places only.
+        // The curve's effect on shading is evaluated at nine levels only.
         self.unsure_mean = libm::hypot(self.unsure_mean, OF_PLACES * (left.mean - at).abs());
         self.uneven = libm::hypot(self.uneven, off_a_line(places, bent));
         self.signal = left.mean;

@@ -1,5 +1,5 @@
-//! Light in the darks: dim flats labelled as darks, or a leaking cap. The PRNU is then in the darks too,
-//! in proportion to their light.
+//! Light in the darks: dim flats labelled as darks, or a leaking cap. The darks then contain the
+//! PRNU, in proportion to their light.
 //!
 //! The response of each pixel is its slope over the levels of the flats (Healey and Kondepudy 1994, eq.
 //! 22); the regression of a dark's pattern on it is the light, DN. If the black level has the same
@@ -13,33 +13,37 @@ use crate::number::with_error;
 
 /// Minimum significance of the light, standard deviations, and minimum light that is reported, DN.
 const MIN_LIGHT: (f64, f64) = (8.0, 3.0);
-/// Maximum relative deviation of the light from the level of a dark in exposure sweeps.
+/// Maximum relative difference between the light in a dark and its level above black, for all of
+/// the level to be light (exposure sweeps).
 const SAME: f64 = 0.25;
-/// Minimum level of such a dark, relative to the flats' range.
+/// Minimum level of such a dark, relative to the flats' range; also the minimum light in the
+/// brightest dark if fewer than half of the darks are lit.
 const LARGE: f64 = 0.01;
 /// Minimum fraction of the flats' light that is reported, and minimum significance, standard deviations.
 const MIN_LEAK: (f64, f64) = (0.003, 6.0);
-/// Minimum significance of a smaller leak, standard deviations, its minimum part of the darks' growth
-/// with exposure, and maximum relative spread of that growth over the pixels. Dark current is less even;
-/// if it is not, gain differences between pixels affect it as they affect light (named choices).
+/// Minimum significance of a smaller leak, standard deviations.
 const MIN_EVEN_LEAK: f64 = 4.0;
+/// Range of a smaller leak's light, relative to the growth of the darks with exposure.
 const PART_OF_GROWTH: std::ops::Range<f64> = 0.5..1.5;
+/// Maximum spread of the dark current over the pixels for a smaller leak, relative to that growth.
+/// Dark current usually varies more. If it does not, it follows the pixel gains and looks like
+/// light (named choices).
 const MAX_EVEN_SPREAD: f64 = 0.06;
 /// Maximum excess of the light of a leak over the growth of the darks, standard deviations.
 const POSSIBLE_SIGMAS: f64 = 2.0;
-/// Maximum difference between frames of a dark, relative to the light: carry-over fades from frame to
-/// frame.
+/// Maximum difference between the first and last frame of a dark, relative to the light: carry-over
+/// decays.
 const MAX_FADING: f64 = 0.3;
 /// Minimum difference of first and last frame of a fading dark, DN.
 const FADES_DN: f64 = 0.5;
-/// Maximum ratio of the light to the level of a dark above the black level.
+/// Maximum ratio of the light in a dark to the dark's level above black.
 const MAX_OF_LEVEL: f64 = 1.3;
-/// Maximum ratio of a dark's level to the dimmest flat at which they are not considered exchanged,
-/// unless all of its level is light.
+/// Maximum ratio of a dark's level to the dimmest flat's. A brighter dark is reported only if all
+/// of its level is light; else it may be exchanged with a flat.
 const AS_DIM: f64 = 1.05;
-/// Minimum ratio of the levels of the flats.
+/// Minimum ratio of the brightest to the dimmest flat's level, above the darkest dark.
 const MIN_RANGE: f64 = 1.5;
-/// Maximum relative deviation of the light from growth with exposure for a leaking cap.
+/// Maximum relative deviation of the light from proportionality to exposure, for a leaking cap.
 const GROWS: f64 = 0.3;
 /// Check for light in darks.
 pub struct LightInDarks;

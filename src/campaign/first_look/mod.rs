@@ -239,7 +239,7 @@ fn jumping(dark: &Array2<f32>, block: &[Arc<Array2<u16>>], usual_dn2: f64) -> Ve
 /// Maximum ratio of the variance of two frames to that of most of their pixels that may be noise (a
 /// named choice).
 const TAILS: f64 = 4.0;
-/// Number of pixels that determines the usual noise: to a hundredth (a named choice).
+/// Number of pixels that determines the usual noise to 1 % (a named choice).
 const USUAL_PIXELS: usize = 20_000;
 
 /// Returns the temporal variance of most pixels of two frames, DN^2: from the median of the absolute

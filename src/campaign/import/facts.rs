@@ -40,8 +40,8 @@ pub struct Facts {
     pub set: Option<u32>,
     /// Filter in front of the sensor.
     pub filter: Option<String>,
-    /// Further settings by GenICam name (`GainRaw`, `BlackLevelRaw`, `BinningHorizontal`, ...) or, where
-    /// GenICam has none, by FITS name. All frames of a dataset share them.
+    /// Further settings by GenICam name (`GainRaw`, `BlackLevelRaw`, `BinningHorizontal`, ...), or
+    /// by FITS name if GenICam has none. All frames of a dataset share them.
     pub differs: Vec<(String, String)>,
     /// Camera with its settings, if all of it is stated.
     pub camera: Option<CameraInfo>,

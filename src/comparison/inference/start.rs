@@ -6,8 +6,8 @@ use crate::observables::{Half, Observations, Setting, Statistic, mean, monitor, 
 use crate::statistics::median::median;
 use radcam_sim::predict::{BaseParameters, Monitor};
 
-/// Minimum signal of a flat, as a share of the brightest signal, to tell light and gain: a dimmer one
-/// contains too much of black level and dark variance.
+/// Minimum signal of a flat for the estimates of light and gain, as a share of the brightest signal: a dimmer
+/// one contains too much of black level and dark variance.
 const DIM: f64 = 0.02;
 
 /// Largest relative variance of the pixels' read-noise variances: one pixel in a hundred with ten times the
@@ -75,8 +75,8 @@ fn signals(all: &Observations, offset_dn: f64) -> Vec<f64> {
     sums.into_iter().map(|(sum, n)| sum / n - offset_dn).collect()
 }
 
-/// Minimum level of the dark charge, as a multiple of the noise of a pixel, to tell the gain: the shot noise
-/// of the charge is then in the variance.
+/// Minimum dark charge for a gain estimate, as a multiple of a pixel's noise: the shot noise of the charge is
+/// then in the variance.
 const BRIGHT_DARKS: f64 = 0.2;
 
 /// Estimates A from the shot noise of the dark charge, in a campaign without light; `None` if there is too
@@ -121,8 +121,8 @@ fn flux(all: &Observations, signal_dn: &[f64], gain_dn_per_e: f64, top_dn: f64) 
     rates.iter().map(of_level).collect()
 }
 
-/// Raises levels below their nominal light to it: the range may have ended there, and nothing would raise
-/// them later.
+/// Raises light levels below their nominal value to it: the range may have ended there, and the fit would not
+/// raise them later.
 fn raise_clipped(all: &Observations, signal_dn: &[f64], top_dn: f64, flux_e_per_s: &mut [f64]) {
     if all.is_table || flux_e_per_s.len() < 2 {
         return;
@@ -180,7 +180,7 @@ fn zero_and_dark(all: &Observations) -> (f64, f64) {
 }
 
 /// Returns true for darks of one exposure that is far longer than those of the flats: their level is offset
-/// and dark charge, and only the flats tell how much of each.
+/// plus dark charge, and only the flats separate the two.
 fn are_long(all: &Observations, exposure_s: f64) -> bool {
     let of_flats = |(set, _): (usize, f64)| all.campaign.sets[set].exposure_s;
     let longest = values(all, &mean::Mean, Some(Kind::Flat)).map(of_flats).fold(0.0, f64::max);

@@ -1,8 +1,9 @@
-//! Variance of the means of columns, DN^2.
+//! Temporal variance of the column means about their mean over the frames, DN^2; not EMVA's spatial column
+//! variance.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
-/// Scatter of whole columns.
+/// Temporal variance of the column means.
 #[derive(Debug)]
 pub struct ColumnVariance;
 

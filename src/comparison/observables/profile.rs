@@ -1,5 +1,6 @@
 //! Residual of the profiles of rows and of columns over all levels, relative to the noise, after a fit of one
-//! offset, gain and dark current per line. It shows levels that do not see the same sensor.
+//! offset, gain and dark current per line. Large if the response or offset of rows or columns differs between
+//! levels.
 
 use super::{Expected, HalfView, Observable, Put, Statistic, View, in_quadrature};
 use crate::statistics::pass::Summary;
@@ -58,13 +59,13 @@ impl Statistic for LineProfile {
         }
         let n = f64::max(n, 1.0);
         let expected = Expected::plain(o, value / n, in_quadrature(&[o.measured.std_err, unsure / n]));
-        // No effect predicts such a misfit, and the fit must not bend everything else to excuse it.
+        // No effect predicts such a misfit; the fit must not distort other parameters to reduce it.
         let alone = (o.measured.value - 1.0).abs() > NOT_FITTED * o.measured.std_err;
         if alone { expected.with_tails(expected.std_err) } else { expected }
     }
 }
 
-/// Misfit of profiles, in standard errors, above which it is reported but does not lead the fit (a named
+/// Misfit of profiles, in standard errors, above which it is reported but does not dominate the fit (a named
 /// choice).
 const NOT_FITTED: f64 = 20.0;
 

@@ -1,11 +1,10 @@
-//! Product of the deviations of successive frame means over their variance: it tells independent from
-//! correlated frames.
+//! Lag-1 autocorrelation of the frame means: distinguishes independent from correlated frames.
 
 use crate::statistics::succession::{of_independent, sums};
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 
-/// Correlation from frame to frame.
+/// Lag-1 autocorrelation of the frame means.
 #[derive(Debug)]
 pub struct Succession;
 

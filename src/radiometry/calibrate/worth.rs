@@ -1,4 +1,4 @@
-//! Checks that K removes more than it adds: K of few frames contains their noise.
+//! Checks that K removes more nonuniformity than it adds: K of few frames contains their noise.
 
 use super::CalibrateError;
 use super::dark::DarkReference;
@@ -6,17 +6,17 @@ use super::defects::Defect;
 use super::pattern::FixedPattern;
 use ndarray::Array2;
 
-/// Minimum number of pixels for a spread over pixels.
+/// Minimum number of pixels for an estimate of the spatial variance.
 const MIN_PIXELS: f64 = 64.0;
-/// Minimum excess of the pixels' variance for a detectable spread of their response, in standard errors.
+/// Minimum spatial variance beyond the error of K for a detectable PRNU, in standard errors.
 const MIN_SIGMAS: f64 = 3.0;
-/// Target error of K over the spread of the pixels, as in the message.
+/// Target error of K, relative to the PRNU, for the frame counts in the message.
 const WANTED: f64 = 0.5;
 
 /// Refuses a K whose error exceeds the spread of the pixels' response.
 ///
-/// The variance of K over the pixels is the sum of those of their response and of its error. The error of the
-/// dark reference is that of a level; it enters K over the level of the flats.
+/// The spatial variance of K is the sum of the variance of the response and that of the error of K. The dark
+/// reference's standard error is a level in DN, so it is divided by the level of the flats.
 pub(super) fn check(
     pattern: &FixedPattern,
     defects: &[Defect],
@@ -41,7 +41,7 @@ pub(super) fn check(
     let error = of_flats + of_darks;
     let unsure = MIN_SIGMAS * spread * (2.0 / n).sqrt();
     let own = spread - error;
-    // An undetected spread may be as large as the limit of detection.
+    // An undetected PRNU may be as large as the detection limit.
     let (prnu, at_most) = if own > unsure { (own, false) } else { (own.max(0.0) + unsure, true) };
     if error <= prnu {
         return Ok(());
@@ -59,12 +59,12 @@ pub(super) fn check(
     Err(CalibrateError::TooNoisy { error: error.sqrt(), prnu: prnu.sqrt(), at_most, needed })
 }
 
-/// Variance of the configurations about K, over that of the noise of their frames, below which nothing was
-/// moved between them, or card and lamp are even (a named choice: a card of less than half of the noise).
+/// Ratio of between-configuration variance to frame noise below which camera and card cannot be separated:
+/// nothing was moved, or card and lamp are uniform to less than half the noise (a named choice).
 const MOVED: f64 = 1.2;
 
-/// Returns true if configurations differ by no more than the noise of their frames, variances of the mean
-/// images in DN^2: then camera and card cannot be separated.
+/// Returns true if configurations differ by no more than the noise of their frames: then camera and card
+/// cannot be separated. `noise_dn2`: noise variances of the mean images.
 pub(super) fn differ_by_noise_alone(pattern: &FixedPattern, noise_dn2: &[f64]) -> bool {
     let noise = noise_dn2.iter().sum::<f64>() / noise_dn2.len().max(1) as f64 / pattern.level_dn.powi(2);
     tracing::debug!(

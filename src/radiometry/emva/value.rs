@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-/// Value, and its derivatives by independent inputs times their standard errors: correlations by shared
-/// inputs are kept.
+/// Value with its derivatives with respect to the independent inputs, each times the input's standard error.
+/// Shared inputs therefore stay correlated.
 #[derive(Debug, Clone)]
 pub(super) struct Value {
     pub value: f64,
@@ -43,8 +43,8 @@ impl Value {
         Self { value: f(&at), parts: parts.into_iter().collect() }
     }
 
-    /// Adds an error that is proportional to the value and shared with others: `share` is its relative
-    /// standard error, of either sign.
+    /// Adds an error proportional to the value and shared with others. `share`: signed relative standard
+    /// error; the sign is that of the correlation.
     pub fn scaled_by(mut self, input: usize, share: f64) -> Self {
         if share != 0.0 {
             self.parts.push((input, share * self.value));

@@ -1,6 +1,6 @@
 //! Photon-transfer curve for levels that are not on a line: its slope at zero signal is A.
 //!
-//! The curvature grows with a higher power of the signal: charge that repels charge (Astier et al. 2019, eq.
+//! Its curvature comes from a higher power of the signal: charge that repels charge (Astier et al. 2019, eq.
 //! 20, to second order in the signal), a nonlinear response, flicker in a shaded field, gains that differ
 //! from frame to frame. None of these changes the slope at the dark end.
 
@@ -78,7 +78,7 @@ pub(super) fn fit(points: &[Point], gain: f64, constant: f64, of_line: (f64, usi
     if curve.dof == 0 || own > MAX_RATIO * line || curve.gain.0.is_nan() || curve.gain.0 <= 0.0 {
         return None;
     }
-    // Residuals beyond the errors inflate them.
+    // Multiplies the variances by chi-square per degree of freedom, if above 1.
     let inflation = own.max(1.0);
     for variance in [&mut curve.gain.1, &mut curve.constant.1, &mut curve.covariance] {
         *variance *= inflation;

@@ -159,13 +159,13 @@ pub fn measure(
     })
 }
 
-/// Source of a zero between the single dark level and `black_level_dn`.
+/// Source of a black level between the single dark level and `black_level_dn`.
 pub(super) const ONE_EXPOSURE_BOUNDED: &str = "between the darks of one exposure and black_level_dn";
-/// Source of a zero from darks of one exposure alone.
+/// Source of a black level from darks of one exposure alone.
 pub(super) const ONE_EXPOSURE: &str = "darks of one exposure";
-/// Source of an unknown zero.
+/// Source of an unknown black level.
 pub(super) const NO_ZERO: &str = "none: no usable darks, taken as 0 DN";
-/// Source of a zero that the camera states.
+/// Source of a black level stated in the manifest.
 pub(super) const BLACK_LEVEL: &str = "black_level_dn of dataset.toml";
 /// Variance below which the noise is narrower than half a step, in squared steps.
 const COARSE: f64 = 0.25;
@@ -291,8 +291,8 @@ pub fn zero(measured: &Measured) -> Zero {
         .map(|(_, mean, variance)| (1.0 / variance, mean / variance))
         .reduce(|a, b| (a.0 + b.0, a.1 + b.1))
     {
-        // This dark mean contains dark charge, of an amount that one exposure does not tell. A known black
-        // level bounds it: anything between the two is equally likely.
+        // This dark mean contains an unknown amount of dark charge, since there is one exposure only. A known
+        // black level bounds it: anything between the two is equally likely.
         let mut dark = sum / weight;
         let moved_dn = moved(points().map(|(_, mean, variance)| (mean - dark, variance)), darks.len() - 1);
         if moved_dn > 0.0 {
