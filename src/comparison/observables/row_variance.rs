@@ -1,4 +1,4 @@
-//! Variance of the means of rows, DN^2.
+//! Temporal variance of the means of rows, DN^2; not EMVA's spatial row variance.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View};
 

@@ -20,10 +20,6 @@ impl Statistic for Succession {
         "shared by whole frames, and alike in successive ones"
     }
 
-    fn unit(&self) -> &'static str {
-        "DN^2"
-    }
-
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
         let means = &chunk.summary().frame_means;
         if means.frames() >= FEWEST {
