@@ -424,7 +424,16 @@ impl<'a> System<'a> {
         const MIN_TOLD: f64 = 0.05;
         let blocks = self.blocks.iter().zip(&self.z[self.layout.rows.len()..]);
         let told = blocks.filter(|(block, _)| block.told > MIN_TOLD);
-        told.filter_map(|(block, z)| Some((self.layout.rows[block.rows[0]].set?, *z))).collect()
+        // Set, deviation, and the setting's part of its variance; the frames' error has the rest.
+        let scores: Vec<(usize, f64, f64)> = told
+            .filter_map(|(block, z)| {
+                let of_setting = 1.0 - 1.0 / (block.weight * block.variance);
+                Some((self.layout.rows[block.rows[0]].set?, *z, of_setting.clamp(0.0, 1.0)))
+            })
+            .collect();
+        let of_scores: Vec<(f64, f64)> = scores.iter().map(|(_, z, part)| (*z, *part)).collect();
+        let standardised = alike(&of_scores);
+        scores.iter().zip(standardised).map(|((set, ..), z)| (*set, z)).collect()
     }
 
     /// Estimates the settings that scatter from the frames: deviation and its remaining variance, in units of
@@ -438,5 +447,58 @@ impl<'a> System<'a> {
             (block.setting, common * own / block.variance, own / block.variance / block.weight)
         };
         self.blocks.iter().enumerate().map(of).collect()
+    }
+}
+/// Returns deviations in units of the scatter that the settings show: the stated scatter may be far larger,
+/// and deviations of dim and bright sets would then have unequal variances. `scores`: deviation, and the
+/// setting's part of its variance as stated.
+fn alike(scores: &[(f64, f64)]) -> Vec<f64> {
+    /// Halvings of the interval of the ratio.
+    const HALVINGS: usize = 60;
+    let variance = |part: f64, ratio: f64| (1.0 - part + ratio * part).max(1e-12);
+    let square = |ratio: f64| scores.iter().map(|(z, part)| z * z / variance(*part, ratio)).sum::<f64>();
+    // Variance of the settings over the stated one, at which the mean square is 1.
+    let largest = scores.iter().map(|(z, _)| z * z).fold(1.0, f64::max) * scores.len().max(1) as f64;
+    let (mut low, mut high) = (0.0, largest);
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (low + high);
+        if square(middle) > scores.len() as f64 { low = middle } else { high = middle }
+    }
+    scores.iter().map(|(z, part)| z / variance(*part, high).sqrt()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::alike;
+    use crate::statistics::step;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// A lamp that scatters by a hundredth of its stated scatter, at levels whose errors fall from the stated
+    /// scatter to a tenth of it: of 2000 at most four have a step at a chance of 1e-3, and of the deviations
+    /// as stated at least five times as many.
+    #[test]
+    fn a_lamp_better_than_stated_has_no_step() {
+        let scores = |seed: u64| -> Vec<(f64, f64)> {
+            let mut random = PixelRng::new(seed, Stream::Effect, 0, 0, 0);
+            let score = |k: i32| {
+                let error = 0.88f64.powi(k).powi(2);
+                let variance = 1.0 + error;
+                (random.normal() * ((1e-4 + error) / variance).sqrt(), 1.0 / variance)
+            };
+            (0..18).map(score).collect()
+        };
+        let has_step = |values: &[f64]| step::largest(values).is_some_and(|s| s.p_value < 1e-3);
+        let as_stated = |seed: &u64| has_step(&scores(*seed).iter().map(|s| s.0).collect::<Vec<_>>());
+        let standardised = |seed: &u64| has_step(&alike(&scores(*seed)));
+        let (before, after) = ((0..2000).filter(as_stated).count(), (0..2000).filter(standardised).count());
+        assert!(after <= 4 && before >= 5 * after.max(1), "{before} {after}");
+    }
+
+    /// Deviations of settings that scatter as stated, or more, only change their scale.
+    #[test]
+    fn the_scatter_of_equal_settings_is_1() {
+        let of = |z: [f64; 4]| alike(&z.map(|z| (z, 1.0)));
+        assert!(of([3.0, -3.0, 3.0, -3.0]).iter().all(|z| (z.abs() - 1.0).abs() < 1e-6));
+        assert!(of([0.0; 4]).iter().all(|z| *z == 0.0));
     }
 }
