@@ -91,8 +91,8 @@ impl Effect for Blooming {
             s.unsure = libm::hypot(s.unsure, left.unsure(less, rest));
             s.shot.shape(|ky, _| less + 2.0 * neighbour / before * libm::cos(ky));
             s.cut_light(column.above);
-            // How much excess is absorbed depends on the order of bright and dark pixels: from none to all,
-            // if the column has room.
+            // The absorbed part of the excess depends on the order of bright and dark pixels: from none to
+            // all, if the column has room.
             let (none, all) = (left.mean, limited(i, signal, 0.0, 0.0).mean);
             s.unsure_mean = libm::hypot(s.unsure_mean, 0.25 * (all - none).abs());
             s.signal = column.mean;

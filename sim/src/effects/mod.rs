@@ -13,9 +13,9 @@ pub enum Stage {
     Light,
     /// On the charge in the pixels, after shot noise.
     Charge,
-    /// Where charge is limited or spills: full well, blooming.
+    /// On charge that is limited or spills: full well, blooming.
     Well,
-    /// While charge moves to the output: transfer, smear.
+    /// On charge that moves to the output: transfer, smear.
     Transfer,
     /// At read-out, after the read noise of the sensor is added, before the amplifier.
     Read,
