@@ -227,7 +227,7 @@ def test_progress_is_told(campaign: Path) -> None:
 def test_what_is_done_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO, logger="radcam"):
         radcam.simulate("cmos12", tmp_path / "c", "quick", region=(0, 0, 32, 32))
-    assert any(r.name.startswith("radcam.capture") and r.levelno == logging.INFO for r in caplog.records), caplog.text
+    assert any(r.name.startswith("radcam.cameras.capture") and r.levelno == logging.INFO for r in caplog.records), caplog.text
 
 
 def test_the_program_comes_with_it() -> None:
