@@ -243,7 +243,7 @@ fn of_sorted(values: &[f64], window: f64, least: f64) -> Option<Stretch> {
             .then(|| Stretch { step, zero: zero - step * (zero / step).round() })
     };
     // A run of n steps gives the step to about 2 / n, which is too coarse to count the steps of a large gap.
-    // The usual stretch factors of programs are tried first.
+    // Stretch factors that programs use are tried first.
     let near = |q: &f64| window == WHOLE && (q - step).abs() <= 2.0 / longest as f64 + 1e-9;
     let known = usual_steps().into_iter().filter(near);
     let on_grid = |q: f64| values.iter().map(|v| ((v - values[from]) / q).round()).collect();

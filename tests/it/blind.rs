@@ -79,7 +79,7 @@ fn values_at(model: &Model, id: &str, wanted: f64) -> Option<(Vec<f64>, f64)> {
     (0.75..1.33).contains(&(reached / wanted)).then_some((values, reached))
 }
 
-/// What the program said of a hidden camera.
+/// Verdict of the program on a hidden camera.
 struct Answer {
     /// The first name, and those that are tied with it.
     first: Vec<String>,

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// What every camera must do.
+/// Duties of every camera.
 pub fn suite(camera: &mut dyn Camera, bench: &mut dyn Illuminator) {
     identity(camera);
     let automatics = camera.disable_automatics().unwrap();

@@ -194,7 +194,7 @@ fn specimen(seed: u64) -> Model {
     model
 }
 
-/// What a specimen measures, less its truth, over the standard errors.
+/// Measured values of a specimen less its truth, over the standard errors.
 fn pulls(seed: u64, root: &Path) -> [f64; QUANTITIES.len()] {
     let model = specimen(seed);
     let (b, sat) = (model.base.clone(), saturation(&model));
@@ -298,7 +298,7 @@ fn is_refused(e: &Evaluation, name: &str, why: &str) {
     assert!(e.notes.iter().any(|n| n.contains(name) && n.contains(why)), "{name}: {:?}", e.notes);
 }
 
-/// Where the reference tool gives a number that is wrong, or ends in its own error: the table of
+/// Campaigns of which the reference tool gives a wrong number, or ends in its own error: the table of
 /// docs/emva.md, row by row.
 #[test]
 fn what_fails_silently_is_true_or_refused_by_name() {

@@ -1,5 +1,5 @@
-//! What `correct`, `scene` and `stream` read of a frame's header and name, held against the calibration. A
-//! camera of its own: no code of radcam draws it, but for the random numbers.
+//! Settings that `correct`, `scene` and `stream` read of a frame's header and name, held against the
+//! calibration. A camera of its own: no code of radcam draws it, but for the random numbers.
 
 use crate::support::{expect, radcam, refused};
 use ndarray::Array2;

@@ -1,4 +1,4 @@
-//! What levels and files say against what names say: questions at import.
+//! Levels and files that contradict names: questions at import.
 
 use crate::import_cases::{Bench, Camera, sets};
 use radcam::dataset::Kind;

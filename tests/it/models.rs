@@ -77,8 +77,8 @@ fn open_values_of_a_model_are_found() {
     assert!((found - values[0]).abs() < 4.0 * std_err, "{found} +- {std_err}, hidden {}", values[0]);
 }
 
-/// What an earlier fit has found is searched for anew on other data, choices included; a fit says how well it
-/// does and how well the paper's values are known.
+/// Values that an earlier fit found are searched for anew on other data, choices included; a fit says how
+/// well it does and how well the paper's values are known.
 #[test]
 fn a_fit_forgets_what_other_data_chose() {
     let dir = tempfile::tempdir().unwrap();

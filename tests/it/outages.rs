@@ -1,6 +1,6 @@
-//! What cables, switches, power, disks and other clients do to a stream. Every pixel of every frame follows
-//! from its number, so that none that is wrong can be accepted unseen; the network is two namespaces with a
-//! program between them that does the damage.
+//! Effects of cables, switches, power, disks and other clients on a stream. Every pixel of every frame
+//! follows from its number, so that none that is wrong can be accepted unseen; the network is two namespaces
+//! with a program between them that does the damage.
 
 use crate::network::Network;
 use crate::support::{calibration, expect, gige_port, program, small};

@@ -144,7 +144,7 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Stale {
     let Some(zero) = campaign.zero_behind_firsts() else { return Stale::default() };
     let firsts: Vec<First> = (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
     let usual_scatter = campaign.scatter(&zero);
-    // The usual scatter is overestimated if all first frames are stale: then their distance from the old
+    // Scatter is overestimated if all first frames are stale: then their distance from the old
     // levels is used.
     let level = |s: usize| (campaign.sets[s].behind_first_dn() - zero.dn).abs().max(1.0);
     let scale = |f: &First| level(f.set).max(level(f.set - 1));

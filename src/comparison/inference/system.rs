@@ -449,9 +449,11 @@ impl<'a> System<'a> {
         self.blocks.iter().enumerate().map(of).collect()
     }
 }
-/// Returns deviations in units of the scatter that the settings show: the stated scatter may be far larger,
-/// and deviations of dim and bright sets would then have unequal variances. `scores`: deviation, and the
-/// setting's part of its variance as stated.
+
+/// Returns deviations in units of the scatter that the settings show (method of Paule and Mandel 1982, J.
+/// Res. NBS 87, 377, with the mean known to be 0). The stated scatter may be far larger, and deviations of
+/// dim and bright sets would then have unequal variances. `scores`: deviation, and the setting's part of its
+/// variance as stated.
 fn alike(scores: &[(f64, f64)]) -> Vec<f64> {
     /// Halvings of the interval of the ratio.
     const HALVINGS: usize = 60;
