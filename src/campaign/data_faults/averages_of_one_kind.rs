@@ -24,6 +24,8 @@ const MIN_RATIO: f64 = 1.6;
 /// errors (named choices).
 const MIN_SIGMAS: f64 = 5.0;
 const MIN_SIGMAS_BESIDE: f64 = 3.0;
+/// Minimum number of averaged darks beside others: a single one is a stray from the curve.
+const MIN_AVERAGED_DARKS: usize = 2;
 /// Maximum relative difference of two equal gains from the dark charge (a named choice).
 const SAME_GAIN: f64 = 0.25;
 
@@ -123,7 +125,7 @@ impl Kinds {
     /// Returns true if all darks have less noise than the flats predict.
     fn darks_have_less(&self) -> bool {
         self.darks.iter().all(|(own, (left, std))| {
-            *left > 2.0 * MIN_VARIANCE_DN2 && MIN_RATIO * own < *left && *own < left - MIN_SIGMAS * std
+            *left > MIN_VARIANCE_DN2 && MIN_RATIO * own < *left && *own < left - MIN_SIGMAS * std
         })
     }
 
@@ -134,6 +136,45 @@ impl Kinds {
             if darks_have_more { off > -MIN_SIGMAS_BESIDE } else { off < MIN_SIGMAS_BESIDE }
         })
     }
+}
+
+/// Returns the darks with less noise than flats and other darks leave for their level; none if they are all
+/// darks. A dark of the flats' exposures is among them, so that it is not charge that they lack.
+fn averages_among_darks(
+    campaign: &Campaign<'_>,
+    kinds: &Kinds,
+    darks: &[usize],
+    shortest_s: f64,
+) -> Vec<usize> {
+    let is_less = |own: f64, (left, std): Measured, sigmas: f64| {
+        left > MIN_VARIANCE_DN2 && MIN_RATIO * own < left && own < left - sigmas * std
+    };
+    let less: Vec<usize> = darks
+        .iter()
+        .zip(&kinds.darks)
+        .filter(|(_, (own, left))| is_less(*own, *left, MIN_SIGMAS_BESIDE))
+        .map(|(i, _)| *i)
+        .collect();
+    let has_their_charge = |i: &usize| 2.0 * campaign.sets[*i].exposure_s >= shortest_s;
+    if less.len() < MIN_AVERAGED_DARKS || less.len() == darks.len() || !less.iter().any(has_their_charge) {
+        return Vec::new();
+    }
+    let Some(zero) = campaign.zero() else { return Vec::new() };
+    let Some(transfer) = Transfer::by_pixels(campaign, &zero, &less) else { return Vec::new() };
+    let own_and_left = |i: &usize| {
+        let own = campaign.sets[*i].variance_dn2().map_or(f64::NAN, |v| v.0);
+        (own, transfer.expected_dn2(above(campaign, &zero, *i)))
+    };
+    let agrees = |i: &usize| {
+        let (own, (left, std)) = own_and_left(i);
+        (own - left).abs() < MIN_SIGMAS * std
+    };
+    let are_averaged = less.iter().all(|i| {
+        let (own, left) = own_and_left(i);
+        is_less(own, left, MIN_SIGMAS)
+    });
+    let others_agree = darks.iter().filter(|i| !less.contains(i)).all(agrees);
+    if are_averaged && others_agree { less } else { Vec::new() }
 }
 
 /// Returns the gain from the growth of level and noise between the darks of lowest and highest level.
@@ -184,12 +225,27 @@ impl Check for AveragesOfOneKind {
         let have_their_charge = darks.iter().any(|i| 2.0 * exposure_s(i) >= shortest_s);
         let less = by_noise && have_their_charge && kinds.darks_have_less();
         let darks_are = !flats_are && (of_darks || less);
+        let three = |value: f64| six_digits((1000.0 * value).round() / 1000.0);
         if !flats_are && !darks_are {
-            return Vec::new();
+            let some = averages_among_darks(campaign, &kinds, &darks, shortest_s);
+            if some.is_empty() {
+                return Vec::new();
+            }
+            let of = |set: &usize| darks.iter().zip(&kinds.darks).find(|d| d.0 == set).map(|d| d.1);
+            let (own, left) = (
+                median(some.iter().filter_map(|i| of(i).map(|d| d.0))),
+                median(some.iter().filter_map(|i| of(i).map(|d| d.1.0))),
+            );
+            let text = format!(
+                "{}: frames were averaged over time before they were saved, or have another gain: a variance of {} DN², where the flats and the other darks leave {} DN² for the level; take single frames",
+                campaign.named(&some),
+                three(own),
+                three(left)
+            );
+            return vec![campaign.fault_of_sets(FaultKind::DependentFrames, &some, text, true)];
         }
         let own = median(kinds.darks.iter().map(|d| d.0));
         let left = median(kinds.darks.iter().map(|d| d.1.0)).max(QUANTISATION_DN2);
-        let three = |value: f64| six_digits((1000.0 * value).round() / 1000.0);
         let (number, witness) = match ratio.filter(|_| of_flats || of_darks) {
             Some((r, std)) => (
                 if flats_are { r } else { r.recip() },

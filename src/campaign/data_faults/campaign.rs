@@ -111,6 +111,7 @@ impl<'a> Campaign<'a> {
                 configuration: row.configuration,
                 kept: vec![true; facts.means_dn.len()],
                 out: facts.means_dn.is_empty(),
+                level_holds: false,
                 clipped: facts.clipped - always > MAX_CLIPPED_SHARE,
                 part: dataset.part_of(set.rows[0]).0,
                 carried_dn: 0.0,
@@ -230,12 +231,17 @@ impl<'a> Campaign<'a> {
         self.zero_by(&[], SetView::behind_first_dn)
     }
 
+    /// Returns the darks whose level is right, those that are excluded for their noise alone included.
+    pub fn darks_with_level(&self) -> impl Iterator<Item = usize> {
+        let has_a_level = |s: &SetView| (!s.out || s.level_holds) && s.frames() > 0;
+        (0..self.sets.len()).filter(move |i| self.sets[*i].kind == Kind::Dark && has_a_level(&self.sets[*i]))
+    }
+
     fn zero_by(&self, without: &[usize], level_dn: impl Fn(&SetView) -> f64) -> Option<Zero> {
-        let darks = self.places(|s| s.kind == Kind::Dark && !s.clipped);
-        let points: Vec<(f64, f64)> = darks
-            .iter()
-            .filter(|i| !without.contains(i))
-            .map(|&i| (self.sets[i].exposure_s, level_dn(&self.sets[i])))
+        let points: Vec<(f64, f64)> = self
+            .darks_with_level()
+            .filter(|i| !self.sets[*i].clipped && !without.contains(i))
+            .map(|i| (self.sets[i].exposure_s, level_dn(&self.sets[i])))
             .collect();
         let (dn, dn_per_s) = median_line(&points)?;
         let off = points.iter().map(|(x, y)| (y - dn - dn_per_s * x).abs());
@@ -421,7 +427,11 @@ impl<'a> Campaign<'a> {
         left_out: bool,
     ) -> DataFault {
         if left_out {
-            sets.iter().for_each(|&s| self.sets[s].out = true);
+            for &set in sets {
+                self.sets[set].out = true;
+                // The mean of averages is that of single frames.
+                self.sets[set].level_holds = kind == FaultKind::DependentFrames;
+            }
         }
         let text = if left_out { format!("{text}; left out") } else { text };
         DataFault {

@@ -16,6 +16,9 @@ const MAX_AVERAGED_RATIO: f64 = 0.8;
 const MIN_GAIN_RATIO: f64 = 1.25;
 /// Minimum ratio of the level of another set with as much light.
 const MIN_EQUAL_LEVEL: f64 = 0.98;
+/// Maximum ratio of the level at which all wells are full to that at which noise begins to be missing (a
+/// named choice).
+const MAX_SPREAD_OF_WELLS: f64 = 1.06;
 /// Minimum deficit of the variance of successive frames relative to that of frames two apart.
 const MIN_DEPENDENCE: f64 = 0.12;
 /// Minimum significance of that, standard deviations.
@@ -132,7 +135,11 @@ impl Check for DependentFrames {
                         || strays.contains(d)
                         || !campaign.sets[*d].is_lit()
                 };
-                let saturates = lit && all.iter().all(full);
+                // The wells are not full where brighter sets end at the codes' full scale.
+                let is_beyond = |s: &SetView| {
+                    s.is_lit() && s.clipped && s.level_dn() - zero.dn > MAX_SPREAD_OF_WELLS * level(i)
+                };
+                let saturates = lit && all.iter().all(full) && campaign.places(is_beyond).is_empty();
                 // The fixed pattern of a dark scales with gain; averaging preserves it.
                 let gain = if lit { None } else { pattern_gain(campaign, i) };
                 let of_gain = gain.is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < (0.5 * off).abs());

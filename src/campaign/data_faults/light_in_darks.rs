@@ -10,6 +10,7 @@ use super::patterns::{Line, Noise, Sums, WithError, by_blocks, combined, pattern
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::with_error;
+use crate::statistics::quantisation::SMALLEST_DARK_DN2;
 
 /// Minimum significance of the light, standard deviations, and minimum light that is reported, DN.
 const MIN_LIGHT: (f64, f64) = (8.0, 3.0);
@@ -174,7 +175,12 @@ fn leak(campaign: &mut Campaign<'_>, darks: &[usize], flats: &[usize]) -> Vec<Da
     tracing::debug!(
         "darks have {part:.5} +- {std:.5} of the flats' light, {of_light:.0} DN/s, and grow by {growth:.1} DN/s +- {spread:.1}"
     );
-    let is_growth = PART_OF_GROWTH.contains(&(part * of_light / growth)) && spread < MAX_EVEN_SPREAD * growth;
+    // Rounding of a quiet dark depends on the fraction of a code, which differs from pixel to pixel.
+    let least_dn2 = SMALLEST_DARK_DN2 * campaign.code_step_dn.powi(2);
+    let are_quiet = darks.iter().any(|&i| campaign.sets[i].variance_dn2().is_some_and(|v| v.0 < least_dn2));
+    let is_growth = !are_quiet
+        && PART_OF_GROWTH.contains(&(part * of_light / growth))
+        && spread < MAX_EVEN_SPREAD * growth;
     let is_sure = part > MIN_LEAK.0 && part > MIN_LEAK.1 * std || is_growth && part > MIN_EVEN_LEAK * std;
     // More light than the darks grow by is impossible: other flats have other gains, or darks have other
     // exposures.

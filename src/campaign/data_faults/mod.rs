@@ -179,6 +179,7 @@ checks! {
     dark_settings::DarkSettings
     darks_of_flats::DarksOfFlats
     averages_of_one_kind::AveragesOfOneKind
+    averages_among_sets::AveragesAmongSets
     other_field::OtherField
     automatic::Automatic
     exposure_limit::ExposureLimit

@@ -5,7 +5,6 @@
 
 use super::campaign::Zero;
 use super::{Campaign, Check, DataFault, FaultKind};
-use crate::dataset::Kind;
 use crate::number::percent;
 use crate::statistics::median::median;
 
@@ -150,13 +149,13 @@ fn mean_and_std(frames: &[Vec<f64>]) -> (Vec<f64>, f64) {
 /// Returns the cells of the darks nearest in exposure, minus their mean, DN, and their standard error;
 /// zeros without darks.
 fn cells_of_darks(campaign: &Campaign<'_>, exposure_s: f64, cells: usize) -> (Vec<f64>, f64) {
-    let darks = campaign.places(|s| {
-        s.kind == Kind::Dark
-            && s.facts.cells_dn.iter().all(|c| c.len() == cells)
-            && !s.facts.cells_dn.is_empty()
-    });
+    let has_cells = |i: &usize| {
+        let own = &campaign.sets[*i].facts.cells_dn;
+        !own.is_empty() && own.iter().all(|c| c.len() == cells)
+    };
+    let darks = campaign.darks_with_level().filter(has_cells);
     let off = |i: &usize| (campaign.sets[*i].exposure_s.max(1e-9) / exposure_s.max(1e-9)).ln().abs();
-    let Some(nearest) = darks.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))) else {
+    let Some(nearest) = darks.min_by(|a, b| off(a).total_cmp(&off(b))) else {
         return (Vec::new(), 0.0);
     };
     let (means, std) = mean_and_std(&campaign.sets[nearest].facts.cells_dn);

@@ -33,6 +33,8 @@ pub struct SetView {
     pub kept: Vec<bool>,
     /// True if the whole set is excluded.
     pub out: bool,
+    /// True if the set is excluded for its noise alone.
+    pub level_holds: bool,
     /// True if the level is clipped at full scale.
     pub clipped: bool,
     /// Number of its dataset among joined ones.
@@ -227,6 +229,7 @@ mod tests {
             },
             kept: vec![true; frames],
             out: false,
+            level_holds: false,
             clipped: false,
             part: 0,
             carried_dn: 0.0,

@@ -145,10 +145,14 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Stale {
     let firsts: Vec<First> = (1..campaign.sets.len()).filter_map(|k| First::of(campaign, &zero, k)).collect();
     let usual_scatter = campaign.scatter(&zero);
     // Scatter is overestimated if all first frames are stale: then their distance from the old
-    // levels is used.
+    // levels is used. Where darks follow each flat the stale frames of flats alone show.
     let level = |s: usize| (campaign.sets[s].behind_first_dn() - zero.dn).abs().max(1.0);
     let scale = |f: &First| level(f.set).max(level(f.set - 1));
-    let meets = median(firsts.iter().filter_map(|f| Some(f.off_dn()? / scale(f)))) / MAD_OF_NORMAL;
+    let is_lit = |f: &First| campaign.sets[f.set].is_lit();
+    let meets = [false, true].map(|lit| {
+        let of_kind = firsts.iter().filter(|f| is_lit(f) == lit);
+        median(of_kind.filter_map(|f| Some(f.off_dn()? / scale(f)))) / MAD_OF_NORMAL
+    });
     let scatter = |f: &First| {
         let of_frame = |s: usize| usual_scatter.of_frame_dn(&campaign.sets[s]);
         let usual = of_frame(f.set).hypot(of_frame(f.set - 1));
@@ -156,7 +160,8 @@ fn stale_firsts(campaign: &Campaign<'_>) -> Stale {
             campaign.sets[s].variance_dn2().map_or(0.0, |v| v.0 / campaign.sets[s].facts.pixels.max(1.0))
         };
         let least = (noise(f.set) + noise(f.set - 1)).sqrt().max(0.03);
-        usual.min((meets * scale(f)).max(least))
+        let meets = meets[usize::from(is_lit(f))];
+        if meets.is_finite() { usual.min((meets * scale(f)).max(least)) } else { usual }
     };
     // Lag and filters may carry over as much as an old exposure would cause.
     let share = campaign.carried(&usual_scatter).filter(|s| s.abs() < MAX_CARRIED_SHARE);

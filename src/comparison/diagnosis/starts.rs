@@ -86,7 +86,14 @@ impl Starts {
         let has_size = effect.parameters().iter().any(effects::Parameter::is_size);
         let most = if has_size { MAX_MORE } else { self.scored.len() };
         let more: Vec<&Vec<f64>> = scored.take((most + 1).saturating_sub(picked.len()).max(1)).collect();
-        for values in more.into_iter().chain(&self.unscaled) {
+        // The form with the fewest parameters is always tried: where many frequencies promise as much, none
+        // of them may be needed.
+        let used =
+            |values: &Vec<f64>| (0..effect.parameters().len()).filter(|k| effect.uses(values, *k)).count();
+        let of_the_forms =
+            |values: &&Vec<f64>| picked.iter().any(|p| choices(effect, p) == choices(effect, values));
+        let simplest = self.values().filter(of_the_forms).min_by_key(|values| used(values));
+        for values in more.into_iter().chain(simplest).chain(&self.unscaled) {
             if !picked.iter().any(|p| is_near(effect, p, values)) {
                 picked.push(values);
             }

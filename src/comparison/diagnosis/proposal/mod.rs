@@ -32,6 +32,8 @@ const MAX_FITTED: [usize; 2] = [8, 3];
 /// Maximum error of a model beside which a law is searched for (a named choice: where nothing comes near,
 /// fits end far from where they began).
 const MAX_ERROR: f64 = 30.0;
+/// Minimum size of a law, standard errors (a named choice).
+const MIN_SIZE_SIGMAS: f64 = 2.0;
 /// Maximum share of their noise that two pixels have in common by a law (a named choice).
 const MAX_SHARED: f64 = 0.5;
 /// Maximum evidence by which a simpler law of another shape may fall short of the best: neither is preferred
@@ -266,6 +268,17 @@ fn size_of(fitted: &Fitted, at: usize) -> f64 {
     effect.parameters().iter().position(|p| p.name == "k").map_or(0.0, |k| values[k])
 }
 
+/// Returns true if the size of the last law is determined: evidence for one that is not comes from base
+/// values that it frees, like an offset of flats alone.
+fn is_determined(fitted: &Fitted) -> bool {
+    let last = fitted.effects.len() - 1;
+    let place = fitted.effects[last].0.parameters().iter().position(|p| p.name == "k");
+    place.is_none_or(|k| {
+        let std_err = fitted.std_err[last][k];
+        !std_err.is_finite() || size_of(fitted, last).abs() > MIN_SIZE_SIGMAS * std_err
+    })
+}
+
 /// Finds the best law beside those of a model. Its size must not cancel that of another law of the same
 /// target.
 fn next(
@@ -308,7 +321,7 @@ fn next(
                 other.target == law.target
                     && size_of(&fitted, place) * size_of(&fitted, now.effects.len()) < 0.0
             });
-            (!cancels).then(|| (score(all, &fitted), *law, fitted))
+            (!cancels && is_determined(&fitted)).then(|| (score(all, &fitted), *law, fitted))
         })
         .collect();
     done.sort_by(|a, b| a.0.total_cmp(&b.0));
