@@ -154,6 +154,11 @@ impl Law {
         Some(law)
     }
 
+    /// Returns the law with these points stated as removed.
+    pub fn with_out(self, out: Vec<usize>) -> Self {
+        Self { out, ..self }
+    }
+
     /// Returns the scatter of the points about the law, relative to the stated one.
     pub fn scale(&self) -> f64 {
         self.scale
