@@ -20,11 +20,6 @@ const MAX_MEAN_SQUARE: f64 = 2.3;
 /// Evidence that is not worth more than a bare mention (Kass and Raftery 1995, section 3.2).
 pub(super) const BARE_MENTION: f64 = 2.0;
 
-/// Minimum additional evidence of a function or a law over a scatter from frame to frame that holds (a named
-/// choice: by chance 15 to 22 were found in campaigns of 16 pairs, whose variances have one degree of freedom
-/// each and are far from normal).
-pub(super) const OF_SCATTER: f64 = 30.0;
-
 /// Effect of the fitted model with its own evidence.
 pub(super) struct Part {
     /// Effect.
@@ -66,9 +61,7 @@ impl Part {
 
     /// Returns a sentence on the nameless model if it explains the part better than the effect does.
     pub fn better(&self) -> Option<String> {
-        // The scatter of a few frames follows many a function by chance.
-        let needed = if self.effect.shown_by().is_some() { OF_SCATTER } else { BARE_MENTION };
-        (self.nameless > self.evidence + needed).then(|| {
+        (self.nameless > self.evidence + BARE_MENTION).then(|| {
             format!(
                 "a smooth function of the level that has no name explains it better than {} does: evidence {:.0} and {:.0}",
                 self.effect.id(),

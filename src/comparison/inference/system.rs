@@ -405,6 +405,17 @@ impl<'a> System<'a> {
         sum + open.map(|(known, (with, without))| ((known + with) / (known + without)).ln()).sum::<f64>()
     }
 
+    /// Returns the logarithm of the information on each open light, whose error is none of the model's: a level
+    /// with a light of its own fits its mean whatever the error of that, and a model with larger errors, of
+    /// flicker say, would seem the worse for it (restricted likelihood: Patterson and Thompson 1971, eq. 8).
+    fn of_open_lights(&self) -> f64 {
+        let mut information = self.known_light.clone();
+        for (block, light) in self.blocks.iter().zip(&self.light[self.layout.rows.len()..]) {
+            light.iter().for_each(|k| information[*k] += block.weight);
+        }
+        information.iter().filter(|i| **i > 0.0).map(|i| i.ln()).sum()
+    }
+
     /// Computes minus twice the log likelihood at this point.
     pub fn likelihood(&self, here: &State, lights: &[f64]) -> f64 {
         let mut z: Vec<f64> = here.expected.iter().map(Expected::z).collect();
@@ -414,6 +425,7 @@ impl<'a> System<'a> {
         let errors = errors + self.white.log_det();
         let blocks = self.of_blocks(&mut z, here, true);
         let sum = z.iter().map(|z| z * z).sum::<f64>() + errors + blocks + self.of_priors(lights);
+        let sum = sum + self.of_open_lights();
         if sum.is_nan() { f64::INFINITY } else { sum }
     }
 

@@ -10,7 +10,6 @@ mod laws;
 mod own;
 mod said;
 
-use super::part::OF_SCATTER;
 use super::search::{NEEDED, score};
 use super::share::MATTERS;
 use super::starts::{Starts, finished};
@@ -162,9 +161,6 @@ impl Found {
         let alone_holds = laws.p_value >= DOUBT && names.p_value < P_LIMIT;
         tracing::debug!("laws: p {:.1e}, names p {:.1e}", laws.p_value, names.p_value);
         let needed = if alone_holds { TIE } else { TIE.max(MATTERS * of_names) };
-        let scatter_holds = names.p_value >= DOUBT
-            && whole.effects.iter().skip(given.effects.len()).all(|(e, _)| e.shown_by().is_some());
-        let needed = if scatter_holds { needed.max(OF_SCATTER) } else { needed };
         (of_laws - of_names > needed && holds).then(|| {
             let laws: Vec<String> = self.laws.iter().map(Law::in_short).collect();
             format!("{} explains it better: evidence {of_laws:.0} and {of_names:.0}", laws.join(" with "))
