@@ -28,7 +28,7 @@ pub(crate) use verdict::capital;
 pub(crate) use verdict::{Size, WEAK};
 pub use words::{Signature, signatures};
 
-use crate::agreement::DOUBT;
+use crate::agreement::{DOUBT, P_LIMIT};
 use crate::data_faults::DataFault;
 use crate::dataset::Kind;
 use crate::features::LeftOn;
@@ -565,7 +565,9 @@ fn parts(
     if let [only] = parts.as_slice() {
         tracing::debug!("{} alone: error {:.4}, was {:.4}", only.effect.id(), last.error, before.error);
         let of_stated = only.effect.sets_each() && matches!(all.setting, Some(Setting::Stated(_)));
-        if !of_stated && last.error > before.error - HELPS {
+        // A few residuals that make a campaign unlikely hardly move the error over all.
+        let mends = before.p_value < P_LIMIT && last.p_value >= DOUBT && last.error <= before.error;
+        if !of_stated && !mends && last.error > before.error - HELPS {
             return nothing();
         }
     }

@@ -98,20 +98,37 @@ impl Fitted {
 
 /// Fits the paper's parameters and those of some effects, from a start.
 pub fn fit(all: &Observations, base: &BaseParameters, effects: &Effects) -> Fitted {
-    fit_for(Effort::Full, all, None, base, effects, None)
+    fit_for(Effort::Full, all, None, &[], base, effects, None)
 }
 
 /// Fits beside another fit, whose slopes serve at first. A model that is far off is fitted only as exactly as
 /// a comparison with others needs.
 pub(crate) fn fit_near(all: &Observations, near: &Fitted, effects: &Effects) -> Fitted {
-    fit_for(Effort::Rival, all, None, &near.base, effects, Some(&near.slopes))
+    fit_for(Effort::Rival, all, None, &[], &near.base, effects, Some(&near.slopes))
 }
 
+/// Maximum ratio of the error of an effect's parameter in a half to that in the whole campaign, for the half
+/// to tell it (a named choice: two equal halves have 1.4). Where every level has one set in each half and a light
+/// of its own, say, only the two together tell a drift, and its error would move all means of a half alike.
+const MOST_ERROR_OF_HALF: f64 = 4.0;
+
 /// Refits on the observables of one half and those of both halves, starting from the joint fit. Few rounds
-/// suffice for a model that is far off: the halves tell how far.
+/// suffice for a model that is far off: the halves tell how far. Parameters of effects that a half does not
+/// tell keep their values.
 pub(super) fn fit_half(all: &Observations, half: Half, whole: &Fitted) -> Fitted {
     let effort = if whole.mean_square > FAR_SQUARE { Effort::Short } else { Effort::Full };
-    fit_for(effort, all, Some(half), &whole.base, &whole.effects, Some(&whole.slopes))
+    let fit = |held: &[Common]| {
+        fit_for(effort, all, Some(half), held, &whole.base, &whole.effects, Some(&whole.slopes))
+    };
+    let first = fit(&[]);
+    let is_untold = |effect: usize, k: usize| {
+        let (own, of_whole) = (first.std_err[effect][k], whole.std_err[effect][k]);
+        of_whole > 0.0 && own > MOST_ERROR_OF_HALF * of_whole
+    };
+    let parameters = first.std_err.iter().enumerate().flat_map(|(i, e)| (0..e.len()).map(move |k| (i, k)));
+    let untold: Vec<Common> =
+        parameters.filter(|(i, k)| is_untold(*i, *k)).map(|(i, k)| Common::Of(i, k)).collect();
+    if untold.is_empty() { first } else { fit(&untold) }
 }
 
 /// Fits for a few rounds, enough to find the best of several starts.
@@ -121,7 +138,7 @@ pub(crate) fn fit_briefly(
     effects: &Effects,
     known: Option<&Slopes>,
 ) -> Fitted {
-    fit_for(Effort::Look, all, None, base, effects, known)
+    fit_for(Effort::Look, all, None, &[], base, effects, known)
 }
 
 /// Returns the halves that a fit uses.
@@ -136,6 +153,7 @@ fn fit_for(
     effort: Effort,
     all: &Observations,
     half: Option<Half>,
+    held: &[Common],
     base: &BaseParameters,
     effects: &Effects,
     known: Option<&Slopes>,
@@ -147,6 +165,8 @@ fn fit_for(
     if let Some(dark) = free.place(Common::Dark).filter(|_| !all.tells_dark_current(half)) {
         free.fixed[dark] = true;
     }
+    let places: Vec<usize> = held.iter().filter_map(|what| free.place(*what)).collect();
+    places.into_iter().for_each(|place| free.fixed[place] = true);
     if half.is_some_and(|h| repeated_settings(&layout, &free, h) < LEAST_REPEATED) {
         let of_effects = effects.iter().enumerate().filter(|(_, (e, _))| e.sets_each());
         let scatters = of_effects.map(|(i, _)| Common::Of(i, 0)).chain([Common::SettingRel]);
