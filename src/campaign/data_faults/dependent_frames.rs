@@ -72,6 +72,30 @@ pub const MIN_PATTERN_CORRELATION: f64 = 0.16;
 /// Usual relative scatter of the variances of darks about a smooth law.
 const DARK_VARIANCE_SCATTER: f64 = 0.03;
 
+/// Maximum distance of the levels of darks that rounding treats alike, DN.
+const SAME_FRACTION_DN: f64 = 0.1;
+/// Maximum ratio of the variance of a dark to that of all others for it to be the only quiet one, and maximum
+/// ratio among the others (named choices).
+const QUIETER: (f64, f64) = (0.5, 1.25);
+
+/// Returns the only dark of three or more with far less noise than the others, which are alike, if one of
+/// these has its exposure and its level: also where rounding hides its noise.
+fn quieter_dark(campaign: &Campaign<'_>) -> Option<usize> {
+    let darks = campaign.places(|s| s.kind == Kind::Dark && !s.clipped && !s.is_cut_off());
+    let var = |i: usize| campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0);
+    let one = darks.iter().copied().min_by(|a, b| var(*a).total_cmp(&var(*b)))?;
+    let others: Vec<usize> = darks.into_iter().filter(|i| *i != one).collect();
+    let least = others.iter().map(|i| var(*i)).fold(f64::INFINITY, f64::min);
+    let most = others.iter().map(|i| var(*i)).fold(0.0, f64::max);
+    let own = &campaign.sets[one];
+    let is_twin = |i: &usize| {
+        let other = &campaign.sets[*i];
+        other.exposure_s == own.exposure_s && (other.level_dn() - own.level_dn()).abs() < SAME_FRACTION_DN
+    };
+    let is_quieter = var(one) < QUIETER.0 * least && most < QUIETER.1 * least;
+    (others.len() + 1 >= MIN_DARKS_FOR_A_GAIN && is_quieter && others.iter().any(is_twin)).then_some(one)
+}
+
 /// Check for averaged or filtered frames.
 pub struct DependentFrames;
 
@@ -217,6 +241,7 @@ impl Check for DependentFrames {
             let mut others = all.iter().filter(|d| repeats(i, **d)).peekable();
             filtered.contains(&i) || others.peek().is_none() || others.any(|d| !alone.contains(d))
         });
+        averaged.extend(quieter_dark(campaign).filter(|i| !averaged.contains(i)));
         averaged.sort_unstable();
         // Two darks do not show which of them has the flats' gain.
         let darks = campaign.places(|s| s.kind == Kind::Dark);

@@ -252,8 +252,8 @@ impl Check for SettingLabel {
             }
             // Repeats are excluded, as their difference would count as scatter; a sweep in order does
             // not separate drift from a bend.
-            let others: Vec<Point> =
-                (0..lit.len()).filter(|k| !known.contains(k)).map(|k| points[k].clone()).collect();
+            let is_sound = |k: &usize| !known.contains(k) && found.iter().all(|f| f.0 != lit[*k]);
+            let others: Vec<Point> = (0..lit.len()).filter(is_sound).map(|k| points[k].clone()).collect();
             let few = if others.len() < MIN_FLATS { 0 } else { few.min(others.len() / MIN_FLATS) };
             let mut free = priors;
             free[DRIFT.0] = DRIFT.1;
@@ -262,7 +262,10 @@ impl Check for SettingLabel {
             let pairs = known.iter().flat_map(|a| known.iter().map(move |b| (*a, *b)));
             let differences = pairs.map(|(a, b)| law.difference_of(&points[a], &points[b]));
             let Some((most, std)) = differences.max_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
-            if most > REPEATS.1.max(REPEATS.0 * std) {
+            // A drift fitted to the others must not part levels that are the same.
+            let values = || known.iter().map(|k| points[*k].value);
+            let apart = values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min);
+            if most > REPEATS.1.max(REPEATS.0 * std) && apart > REPEATS.1 {
                 let text = format!(
                     "{}: stated exposure and light are the same, and the light differs by {}",
                     campaign.named(&sets),

@@ -13,7 +13,7 @@ const MIN_SETS: usize = 4;
 /// Maximum variance at which rounding dominates, DN^2.
 pub const MIN_VARIANCE_DN2: f64 = 0.35;
 /// Minimum ratio of the expected variance to that limit for a set to count as quiet.
-const MIN_QUIET_RATIO: f64 = 3.0;
+const MIN_QUIET_RATIO: f64 = 2.0;
 /// Maximum relative bend of the curve at the highest level.
 const MAX_BEND: f64 = 0.15;
 
