@@ -4,6 +4,7 @@
 use super::search::{Candidate, NEEDED, score, without};
 use super::share::MATTERS;
 use super::{HOLDS, TIE, unknown};
+use crate::agreement::DOUBT;
 use crate::dataset::Kind;
 use crate::inference::{Comparison, Fitted, Residual, compare, fit, fit_near, residuals_of};
 use crate::number::six_digits;
@@ -17,6 +18,9 @@ const NAMELESS_DISCOUNT: f64 = MATTERS;
 /// Maximum mean squared residual of a fit with which a campaign may agree: its chance for twenty residuals is
 /// one in a thousand.
 const MAX_MEAN_SQUARE: f64 = 2.3;
+/// Minimum evidence of an effect beside others with which the campaign agrees (a named choice: five standard
+/// errors; weaker ones came and went with the draw of the noise, and took part of the read noise with them).
+const BESIDE: f64 = 25.0;
 /// Evidence that is not worth more than a bare mention (Kass and Raftery 1995, section 3.2).
 pub(super) const BARE_MENTION: f64 = 2.0;
 
@@ -120,7 +124,13 @@ pub(super) fn without_one<'p>(
     if let Some(idle) = weakest.filter(|p| p.evidence < NEEDED) {
         return Some(&idle.rest);
     }
-    if parts.len() < 2 || last.p_value >= HOLDS {
+    if parts.len() < 2 {
+        return None;
+    }
+    if let Some(idle) = weakest.filter(|p| p.evidence < BESIDE && compare(all, &p.rest).p_value >= DOUBT) {
+        return Some(&idle.rest);
+    }
+    if last.p_value >= HOLDS {
         return None;
     }
     let near = parts.iter().filter(|p| p.rest.mean_square < MAX_MEAN_SQUARE);
