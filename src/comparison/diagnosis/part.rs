@@ -18,8 +18,8 @@ const NAMELESS_DISCOUNT: f64 = MATTERS;
 /// Maximum mean squared residual of a fit with which a campaign may agree: its chance for twenty residuals is
 /// one in a thousand.
 const MAX_MEAN_SQUARE: f64 = 2.3;
-/// Minimum evidence of an effect beside others with which the campaign agrees (a named choice: five standard
-/// errors; weaker ones came and went with the draw of the noise, and took part of the read noise with them).
+/// Minimum evidence of an effect beside others with which the campaign agrees, if the error on held-out frames
+/// does not fall with it (a named choice: five standard errors).
 const BESIDE: f64 = 25.0;
 /// Evidence that is not worth more than a bare mention (Kass and Raftery 1995, section 3.2).
 pub(super) const BARE_MENTION: f64 = 2.0;
@@ -127,7 +127,11 @@ pub(super) fn without_one<'p>(
     if parts.len() < 2 {
         return None;
     }
-    if let Some(idle) = weakest.filter(|p| p.evidence < BESIDE && compare(all, &p.rest).p_value >= DOUBT) {
+    let is_idle = |p: &&Part| {
+        let rest = compare(all, &p.rest);
+        rest.p_value >= DOUBT && rest.error <= last.error
+    };
+    if let Some(idle) = weakest.filter(|p| p.evidence < BESIDE).filter(is_idle) {
         return Some(&idle.rest);
     }
     if last.p_value >= HOLDS {
