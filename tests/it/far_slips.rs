@@ -200,6 +200,55 @@ fn stale_frames_of_pairs_in_any_order_are_named() {
     assert_eq!(said["missing"], serde_json::json!([]));
 }
 
+/// The same where a dark of its exposure follows each flat, as EMVA 1288 has it: the darks, which are not
+/// stale, say nothing of the scatter of first frames.
+#[test]
+fn stale_flats_between_darks_are_named() {
+    let shares = [0.5, 0.2, 0.95, 0.35, 0.8, 0.1, 0.65, 0.3];
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("plan.toml");
+    let pair =
+        |share: &f64| set_of_plan("flat", 4, 0.85 * share, 1.0) + &set_of_plan("dark", 2, 0.85 * share, 0.0);
+    let text: String = shares.iter().map(pair).collect();
+    std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{text}")).unwrap();
+    let mut campaign = Campaign::new("cmos12", plan.to_str().unwrap(), 371);
+    let flats = campaign.sets("flat", 4);
+    let others: Vec<_> = flats.iter().map(|set| campaign.frame(campaign.of(*set)[3])).collect();
+    let mut gone = Vec::new();
+    for (k, set) in flats.iter().enumerate() {
+        let rows = campaign.of(*set);
+        if k > 0 {
+            campaign.put(rows[0], &others[k - 1]);
+        }
+        gone.push(rows[3]);
+    }
+    campaign.leave_out(&gone);
+    let said = campaign.said("noise");
+    let faults = said["data_faults"].as_array().unwrap();
+    assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"stale-frame".into()), "{faults:?}");
+    let sets = faults[0]["sets"].to_string();
+    assert!(flats[1..].iter().all(|set| sets.contains(&set.to_string())), "{sets}");
+}
+
+/// One of three darks has a black level 6 DN lower, of the same exposure as another and as the flats: the
+/// light of the flats tells which of the two is right.
+#[test]
+fn a_dark_of_another_black_level_among_three_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("plan.toml");
+    let flats: String = (1..9).map(|k| set_of_plan("flat", 4, 0.8, 0.1 * f64::from(k))).collect();
+    let darks = set_of_plan("dark", 4, 0.8, 0.0).repeat(2) + &set_of_plan("dark", 4, 0.4, 0.0);
+    std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{flats}{darks}")).unwrap();
+    for (which, seed) in [(0, 372), (1, 373), (2, 374)] {
+        let campaign = Campaign::new("cmos12", plan.to_str().unwrap(), seed);
+        let dark = campaign.sets("dark", 4)[which];
+        for row in campaign.of(dark) {
+            campaign.put(row, &campaign.frame(row).mapv(|v| v.saturating_sub(6)));
+        }
+        is_named(&campaign, "other-settings", &[dark], "another black level");
+    }
+}
+
 /// Image lag whose electrons stay by chance leaves the noise as frames of both settings do: up to the share
 /// that sensors have, it is no slip.
 #[test]

@@ -39,3 +39,29 @@ fn mains_flicker_is_a_ripple_and_no_bend() {
         near(&said["gain_dn_per_e"], 0.38);
     }
 }
+
+/// Pairs of flats at 14 lights whose error is not stated, as an imported folder has them, and flicker of 0.2
+/// %: named first, with its size within four standard errors. Before errors of means with a light of their
+/// own were left out of the evidence, none of these eight was.
+#[test]
+fn flicker_of_pairs_with_open_lights_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (model, plan) = (folder.path().join("m.toml"), folder.path().join("plan.toml"));
+    let (model, plan) = (model.to_str().unwrap(), plan.to_str().unwrap());
+    expect(0, &["model", "new", model, "--sensor", "cmos12"]);
+    expect(0, &["model", "add", model, "illumination-flicker", "rel=0.002"]);
+    let flats: String = (0..14).map(|k| set_of_plan("flat", 2, 0.5, 0.9 * 0.78f64.powi(k))).collect();
+    let darks = set_of_plan("dark", 2, 0.5, 0.0);
+    let text = format!("{darks}{flats}{darks}{}", set_of_plan("dark", 2, 1.0, 0.0));
+    std::fs::write(plan, format!("format = \"radcam-plan/1\"\n{text}")).unwrap();
+    for seed in 363..371 {
+        let campaign = Campaign::of_region(model, plan, [128, 96], seed);
+        campaign.forget("illumination_rel_std");
+        let said = campaign.said("diagnose");
+        let found = &said["missing"][0];
+        assert_eq!(found["effect"], "illumination-flicker", "{seed}: {}", said["verdict"]);
+        let rel = &found["parameters"]["rel"];
+        let (value, error) = (rel["value"].as_f64().unwrap(), rel["std_err"].as_f64().unwrap());
+        assert!((value - 0.002).abs() < 4.0 * error, "{seed}: {rel}");
+    }
+}

@@ -65,9 +65,14 @@ impl Campaign {
 
     /// Takes the black level out of the manifest: that of imported files does not know it.
     pub fn forget_black_level(&self) {
+        self.forget("black_level_dn");
+    }
+
+    /// Takes a value out of the manifest.
+    pub fn forget(&self, name: &str) {
         let manifest = Path::new(&self.path()).join("dataset.toml");
         let text = std::fs::read_to_string(&manifest).unwrap();
-        let without: Vec<&str> = text.lines().filter(|l| !l.starts_with("black_level_dn")).collect();
+        let without: Vec<&str> = text.lines().filter(|l| !l.starts_with(name)).collect();
         std::fs::write(&manifest, without.join("\n") + "\n").unwrap();
     }
 

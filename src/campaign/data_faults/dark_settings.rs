@@ -23,8 +23,8 @@ const MAX_SHARE_OF_CHARGE: f64 = 0.05;
 /// Standard deviations of the priors: level, DN, and its growth with the charge, which hot pixels and a clamp
 /// affect.
 const PRIORS: [f64; 2] = [1e5, 0.5];
-/// Minimum deviation of the only dark that is off, standard deviations, and maximum scatter of the other darks
-/// and the flats, relative to their errors (named choices).
+/// Minimum deviation of the only dark that is off, standard deviations, and maximum scatter of the other
+/// darks and the flats, relative to their errors (named choices).
 const MIN_SIGMAS_OF_ONE: f64 = 8.0;
 const MAX_SCATTER_OF_OTHERS: f64 = 2.0;
 /// Minimum variance that shows dark charge, DN^2 (a named choice: rounding alone adds 0.083).
@@ -125,8 +125,8 @@ impl Check for DarkSettings {
     }
 }
 
-/// Finds the only dark that is off the others and the flats, which agree: too few points give a scatter of their
-/// own. The law is fitted without it.
+/// Finds the only dark that is off the others and the flats, which agree: too few points give a scatter of
+/// their own. The law is fitted without it.
 fn one_off(points: &[Point], darks: usize) -> Option<Law> {
     let without = |k: usize| {
         let others: Vec<Point> = (0..points.len()).filter(|i| *i != k).map(|i| points[i].clone()).collect();

@@ -18,8 +18,8 @@ const NAMELESS_DISCOUNT: f64 = MATTERS;
 /// Maximum mean squared residual of a fit with which a campaign may agree: its chance for twenty residuals is
 /// one in a thousand.
 const MAX_MEAN_SQUARE: f64 = 2.3;
-/// Minimum evidence of an effect beside others with which the campaign agrees, if the error on held-out frames
-/// does not fall with it (a named choice: five standard errors).
+/// Minimum evidence of an effect beside others with which the campaign agrees, if the error on held-out
+/// frames does not fall with it (a named choice: five standard errors).
 const BESIDE: f64 = 25.0;
 /// Evidence that is not worth more than a bare mention (Kass and Raftery 1995, section 3.2).
 pub(super) const BARE_MENTION: f64 = 2.0;

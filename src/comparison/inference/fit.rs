@@ -108,8 +108,9 @@ pub(crate) fn fit_near(all: &Observations, near: &Fitted, effects: &Effects) -> 
 }
 
 /// Maximum ratio of the error of an effect's parameter in a half to that in the whole campaign, for the half
-/// to tell it (a named choice: two equal halves have 1.4). Where every level has one set in each half and a light
-/// of its own, say, only the two together tell a drift, and its error would move all means of a half alike.
+/// to tell it (a named choice: two equal halves have 1.4). Where every level has one set in each half and a
+/// light of its own, say, only the two together tell a drift, and its error would move all means of a half
+/// alike.
 const MOST_ERROR_OF_HALF: f64 = 4.0;
 
 /// Refits on the observables of one half and those of both halves, starting from the joint fit. Few rounds

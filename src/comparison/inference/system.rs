@@ -405,9 +405,10 @@ impl<'a> System<'a> {
         sum + open.map(|(known, (with, without))| ((known + with) / (known + without)).ln()).sum::<f64>()
     }
 
-    /// Returns the logarithm of the information on each open light, whose error is none of the model's: a level
-    /// with a light of its own fits its mean whatever the error of that, and a model with larger errors, of
-    /// flicker say, would seem the worse for it (restricted likelihood: Patterson and Thompson 1971, eq. 8).
+    /// Returns the logarithm of the information on each open light, whose error is none of the model's: a
+    /// level with a light of its own fits its mean whatever the error of that, and a model with larger
+    /// errors, of flicker say, would seem the worse for it (restricted likelihood: Patterson and Thompson
+    /// 1971).
     fn of_open_lights(&self) -> f64 {
         let mut information = self.known_light.clone();
         for (block, light) in self.blocks.iter().zip(&self.light[self.layout.rows.len()..]) {
