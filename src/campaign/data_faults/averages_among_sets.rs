@@ -95,7 +95,9 @@ fn largest_off(sets: &[Measured], frames: &[f64]) -> Option<f64> {
 /// Finds the two curves: the number of averaged frames and the averaged sets; `None` if one curve
 /// describes all, or two do not.
 fn parted(sets: &[Measured]) -> Option<Parted> {
-    if sets.len() < MIN_SETS.0 || largest_off(sets, &vec![1.0; sets.len()])? < MIN_OFF_SIGMAS {
+    // A single curve may leave no noise at some level.
+    let is_one = |off: f64| off < MIN_OFF_SIGMAS;
+    if sets.len() < MIN_SETS.0 || largest_off(sets, &vec![1.0; sets.len()]).is_some_and(is_one) {
         return None;
     }
     let step = sets.len().div_ceil(MAX_SETS_OF_LINES);
@@ -149,17 +151,20 @@ impl Check for AveragesAmongSets {
                 && s.variance_dn2().is_some()
         });
         let sets: Vec<Measured> = places.iter().filter_map(|&i| measured(campaign, &zero, i)).collect();
+        tracing::debug!("levels and variances: {sets:.3?}");
         let Some((frames, means)) = parted(&sets) else { return Vec::new() };
+        tracing::debug!("means of {frames} frames: {means:?}");
         let lit = |mean: bool| {
             let of_curve = |(i, m): &(&usize, &bool)| **m == mean && campaign.sets[**i].is_lit();
             places.iter().zip(&means).filter(of_curve).map(|(i, _)| *i).collect::<Vec<usize>>()
         };
         let (single, averaged) = (lit(false), lit(true));
-        let brightest =
-            |sets: &[usize]| sets.iter().map(|&i| campaign.sets[i].level_dn()).fold(0.0, f64::max);
+        let level = |i: &usize| campaign.sets[*i].level_dn();
+        let brightest = single.iter().map(level).fold(0.0, f64::max);
+        let dimmest = averaged.iter().map(level).fold(f64::INFINITY, f64::min);
         // A full well takes noise from the brightest sets, and averages of darks alone have a check of
         // their own.
-        let is_beside = !averaged.is_empty() && brightest(&single) > brightest(&averaged);
+        let is_beside = brightest > dimmest;
         let response = |sets: &[usize]| {
             median(sets.iter().map(|&i| above(campaign, &zero, i) / campaign.sets[i].light()))
         };

@@ -29,8 +29,8 @@ const MIN_SIGMAS_OF_ONE: f64 = 8.0;
 const MAX_SCATTER_OF_OTHERS: f64 = 2.0;
 /// Minimum variance that shows dark charge, DN^2 (a named choice: rounding alone adds 0.083).
 const MIN_VARIANCE_DN2: f64 = 0.15;
-/// Minimum number of darks among which one can stand out.
-const MIN_DARKS: usize = 3;
+/// Minimum number of darks among which one can stand out, and beside flats that tell.
+const MIN_DARKS: (usize, usize) = (3, 2);
 /// Maximum ratio of the noise standard deviations at equal gain.
 const MAX_NOISE_RATIO: f64 = 1.1;
 
@@ -55,7 +55,7 @@ impl Check for DarkSettings {
         let usable = |s: &SetView| !s.clipped && s.is_of_one_level(&zero) && told(s);
         let darks = campaign.places(|s| s.kind == Kind::Dark && usable(s));
         let gain = Transfer::of(campaign, &zero, &darks).map(|t| t.slope()).filter(|g| *g > 0.0);
-        let Some(gain) = gain.filter(|_| darks.len() >= MIN_DARKS) else { return Vec::new() };
+        let Some(gain) = gain.filter(|_| darks.len() >= MIN_DARKS.1) else { return Vec::new() };
         let var = |i: usize| campaign.sets[i].variance_dn2().unwrap_or_default();
         let quietest = darks.iter().map(|&i| var(i).0).fold(f64::INFINITY, f64::min);
         let charge: Vec<f64> = darks.iter().map(|&i| (var(i).0 - quietest) / gain).collect();
@@ -72,6 +72,9 @@ impl Check for DarkSettings {
         let of_flats = level_of_flats(campaign, &zero, &darks, &charge);
         let flats_tell = of_flats.is_some();
         points.extend(of_flats);
+        if points.len() < MIN_DARKS.0 {
+            return Vec::new();
+        }
         let few = (darks.len() / 4).clamp(1, 3).min(darks.len() - 2);
         let Some(mut law) = Law::fit(&points, &PRIORS, few) else { return Vec::new() };
         if law.out.is_empty() && flats_tell {

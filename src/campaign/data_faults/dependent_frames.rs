@@ -9,6 +9,7 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 use crate::statistics::median::median;
+use crate::statistics::quantisation::QUANTISATION_DN2;
 
 /// Maximum ratio of the variance of averaged frames to the usual one: two frames make it a half.
 const MAX_AVERAGED_RATIO: f64 = 0.8;
@@ -94,6 +95,35 @@ fn quieter_dark(campaign: &Campaign<'_>) -> Option<usize> {
     };
     let is_quieter = var(one) < QUIETER.0 * least && most < QUIETER.1 * least;
     (others.len() + 1 >= MIN_DARKS_FOR_A_GAIN && is_quieter && others.iter().any(is_twin)).then_some(one)
+}
+
+/// Returns true if the flats show that a dark of more noise is right and all others are averages, and false
+/// if they do not tell, with the number of averaged frames; `None` if the dark is off: by its pattern, or by
+/// the variance that the flats leave, DN^2, with its error.
+fn noisier(
+    campaign: &Campaign<'_>,
+    dark: usize,
+    others: &[usize],
+    left: Option<(f64, f64)>,
+) -> Option<(bool, f64)> {
+    let var = |i: usize| campaign.sets[i].variance_dn2().map_or(f64::NAN, |v| v.0);
+    let (own, usual) = (var(dark), median(others.iter().map(|i| var(*i))));
+    let off = (own / usual).ln();
+    // Averages keep the pattern of single frames; another gain scales it.
+    let has_a_gain =
+        pattern_gain(campaign, dark).is_some_and(|g| g > 0.0 && (2.0 * g.ln() - off).abs() < 0.35 * off);
+    let rounding_dn2 = QUANTISATION_DN2 * campaign.code_step_dn.powi(2);
+    let frames = ((own - rounding_dn2) / (usual - rounding_dn2).max(0.01)).round().max(2.0);
+    if has_a_gain || !off.is_finite() {
+        return None;
+    }
+    let Some((left_dn2, std_dn2)) = left else { return Some((false, frames)) };
+    let is_as = |v: f64| (v - left_dn2).abs() < SIGMAS_OF_FLATS * std_dn2;
+    match (is_as(own), is_as(usual)) {
+        (true, false) => Some((true, frames)),
+        (false, true) => None,
+        _ => Some((false, frames)),
+    }
 }
 
 /// Check for averaged or filtered frames.
@@ -315,7 +345,32 @@ impl Check for DependentFrames {
             };
             out.push(campaign.fault_of_sets(kind, &averaged, text, true));
         }
+        let by_flats = Transfer::by_pixels(campaign, &zero, &darks);
+        let gains: Vec<usize> = gained.iter().map(|g| g.0).collect();
         for (i, off) in gained {
+            let others: Vec<usize> =
+                darks.iter().copied().filter(|d| !gains.contains(d) && !campaign.sets[*d].out).collect();
+            let left = by_flats.as_ref().map(|t| t.expected_dn2(above(campaign, &zero, i)));
+            let doubt = noisier(campaign, i, &others, left).filter(|_| off > 0.0 && !few_darks);
+            if let Some((is_clear, frames)) = doubt {
+                let set = campaign.sets[i].number;
+                let ratio = six_digits(((0.5 * off).exp() * 1000.0).round() / 1000.0);
+                let fault = if is_clear {
+                    let text = format!(
+                        "{}: all darks but set {set} were averaged before they were saved, about {frames} frames each: set {set} has {ratio} times their noise, as the flats leave it for its level",
+                        campaign.named(&others)
+                    );
+                    campaign.fault_of_sets(FaultKind::DependentFrames, &others, text, true)
+                } else {
+                    let text = format!(
+                        "set {set} ({}): this dark has {ratio} times the noise of the other darks: it has another gain, or the others were averaged before they were saved, about {frames} frames each; the flats do not tell which, and read noise is not known. Take darks again",
+                        campaign.file(i, 0)
+                    );
+                    campaign.fault_of_sets(FaultKind::DependentFrames, &[i], text, false)
+                };
+                out.push(fault);
+                continue;
+            }
             let what = if few_darks { "the darks differ in gain or camera" } else { "another gain" };
             let text = format!(
                 "set {} ({}): {what}: the noise of this dark is {} times that of others at its level",

@@ -67,6 +67,7 @@ impl Transfer {
             })
             .collect();
         let most = points.iter().map(|p| p.0).fold(1.0, f64::max);
+        tracing::debug!("photon transfer of {} sets: {points:.3?}", sets.len());
         if points.len() < MIN_SETS {
             return None;
         }

@@ -285,7 +285,9 @@ pub fn diagnose(
     notes.extend(sensor::below_zero(&sensor));
     Diagnosis {
         verdict: Verdict::of(&missing, remainder.as_ref(), &first, &whole, &all.left_on, proposal.as_ref()),
-        consistent: missing.is_empty() && !all.flats_left_out,
+        consistent: missing.is_empty()
+            && !all.flats_left_out
+            && !all.data_faults.iter().any(DataFault::is_of_means),
         error_before: first.error,
         error_after: last.error,
         ladder,
