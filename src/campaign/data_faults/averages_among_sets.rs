@@ -175,7 +175,7 @@ impl Check for AveragesAmongSets {
         let rounded: Vec<usize> = places.iter().zip(&means).filter(|(_, m)| **m).map(|(i, _)| *i).collect();
         let first = averaged[0];
         let text = format!(
-            "{}: frames were averaged over time before they were saved, about {frames} each: set {} has a variance of {} DN² at {} DN, {frames} times less than the other sets leave for that level; take single frames",
+            "{}: frames were averaged or filtered over time before they were saved, about {frames} each: set {} has a variance of {} DN² at {} DN, {frames} times less than the other sets leave for that level; take single frames",
             campaign.named(&rounded),
             campaign.sets[first].number,
             six_digits((1000.0 * campaign.sets[first].variance_dn2().map_or(0.0, |v| v.0)).round() / 1000.0),
@@ -210,7 +210,7 @@ mod tests {
         frames.iter().enumerate().map(of).collect()
     }
 
-    /// Of 1000 campaigns of 11 sets, of whose flats but the brightest two to five are averages, 49 in 50 are
+    /// In 1000 campaigns of 11 sets two to five flats are averages, all but the brightest: 49 in 50 are
     /// parted so, with the number of frames to 7 %; no other sets are taken for averages, nor any where there
     /// are none.
     #[test]
