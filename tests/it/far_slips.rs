@@ -174,13 +174,9 @@ fn one_of_two_equal_darks_was_averaged() {
     assert!(named.is_some_and(|f| f["sets"].to_string().contains(&second.to_string())), "{faults}");
 }
 
-/// Pairs in no order of their exposures, the first frame of each exposed as the set before it: half of what
-/// is read of a pair is stale.
-#[test]
-fn stale_frames_of_pairs_in_any_order_are_named() {
-    let shares = [0.5, 0.2, 0.95, 0.35, 0.8, 0.1, 0.65, 0.3, 0.9, 0.15];
-    let campaign = sweep(&shares, &shares, 4, 208);
-    let flats = campaign.sets("flat", 4);
+/// Puts the last of four frames of each flat in place of the first of the next one, and keeps so many of
+/// each.
+fn expose_firsts_as_before(campaign: &mut Campaign, flats: &[u32], keep: usize) {
     let others: Vec<_> = flats.iter().map(|set| campaign.frame(campaign.of(*set)[3])).collect();
     let mut gone = Vec::new();
     for (k, set) in flats.iter().enumerate() {
@@ -188,10 +184,19 @@ fn stale_frames_of_pairs_in_any_order_are_named() {
         if k > 0 {
             campaign.put(rows[0], &others[k - 1]);
         }
-        gone.extend_from_slice(&rows[2..]);
+        gone.extend_from_slice(&rows[keep..]);
     }
-    let mut campaign = campaign;
     campaign.leave_out(&gone);
+}
+
+/// Pairs in no order of their exposures, the first frame of each exposed as the set before it: half of what
+/// is read of a pair is stale.
+#[test]
+fn stale_frames_of_pairs_in_any_order_are_named() {
+    let shares = [0.5, 0.2, 0.95, 0.35, 0.8, 0.1, 0.65, 0.3, 0.9, 0.15];
+    let mut campaign = sweep(&shares, &shares, 4, 208);
+    let flats = campaign.sets("flat", 4);
+    expose_firsts_as_before(&mut campaign, &flats, 2);
     let said = campaign.said("diagnose");
     let faults = said["data_faults"].as_array().unwrap();
     assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"stale-frame".into()), "{faults:?}");
@@ -200,8 +205,8 @@ fn stale_frames_of_pairs_in_any_order_are_named() {
     assert_eq!(said["missing"], serde_json::json!([]));
 }
 
-/// The same where a dark of its exposure follows each flat, as EMVA 1288 has it: the darks, which are not
-/// stale, say nothing of the scatter of first frames.
+/// Flats with a stale first frame, each followed by a dark of its exposure as EMVA 1288 has it: the darks,
+/// which are not stale, say nothing of the scatter of first frames.
 #[test]
 fn stale_flats_between_darks_are_named() {
     let shares = [0.5, 0.2, 0.95, 0.35, 0.8, 0.1, 0.65, 0.3];
@@ -213,16 +218,7 @@ fn stale_flats_between_darks_are_named() {
     std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{text}")).unwrap();
     let mut campaign = Campaign::new("cmos12", plan.to_str().unwrap(), 371);
     let flats = campaign.sets("flat", 4);
-    let others: Vec<_> = flats.iter().map(|set| campaign.frame(campaign.of(*set)[3])).collect();
-    let mut gone = Vec::new();
-    for (k, set) in flats.iter().enumerate() {
-        let rows = campaign.of(*set);
-        if k > 0 {
-            campaign.put(rows[0], &others[k - 1]);
-        }
-        gone.push(rows[3]);
-    }
-    campaign.leave_out(&gone);
+    expose_firsts_as_before(&mut campaign, &flats, 3);
     let said = campaign.said("noise");
     let faults = said["data_faults"].as_array().unwrap();
     assert_eq!((faults.len(), &faults[0]["kind"]), (1, &"stale-frame".into()), "{faults:?}");

@@ -40,9 +40,9 @@ fn mains_flicker_is_a_ripple_and_no_bend() {
     }
 }
 
-/// Pairs of flats at 14 lights whose error is not stated, as an imported folder has them, and flicker of 0.2
-/// %: named first, with its size within four standard errors. Before errors of means with a light of their
-/// own were left out of the evidence, none of these eight was.
+/// Pairs of flats at 14 lights whose error is not stated, as an imported folder has them, and flicker of
+/// 0.2 %: named first, with its size within four standard errors. Before errors of means with a light of
+/// their own were left out of the evidence, none of these eight was.
 #[test]
 fn flicker_of_pairs_with_open_lights_is_named() {
     let folder = tempfile::tempdir().unwrap();

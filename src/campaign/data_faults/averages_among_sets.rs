@@ -7,7 +7,7 @@
 
 use super::campaign::Zero;
 use super::law::{Law, Point};
-use super::transfer::{MODEL_ERROR, above, pixel_error};
+use super::transfer::{MAX_BEND, MODEL_ERROR, above, factors, pixel_error};
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
@@ -28,8 +28,6 @@ const MIN_OFF_SIGMAS: f64 = 8.0;
 const MAX_OFF_LINE: f64 = 0.2;
 /// Error of a variance that rounding determines, DN^2.
 const ROUNDING_DN2: f64 = 0.03;
-/// Maximum relative bend of the curve at the highest level.
-const MAX_BEND: f64 = 0.15;
 /// Maximum number of sets for the search over all pairs, whose time grows with the third power: others
 /// are drawn evenly.
 const MAX_SETS_OF_LINES: usize = 40;
@@ -64,7 +62,7 @@ type Parted = (u32, Vec<bool>);
 /// Fits a curve to sets; `frames`: number of frames averaged in each.
 fn curve(sets: &[Measured], frames: &[f64]) -> Option<Vec<f64>> {
     let most = sets.iter().map(|s| s.above_dn).fold(1.0, f64::max);
-    let factors = |s: &Measured| [1.0, s.above_dn / most, (s.above_dn / most).powi(2)];
+    let factors = |s: &Measured| factors(s.above_dn / most);
     let scaled: Vec<f64> = sets.iter().zip(frames).map(|(s, n)| s.var_dn2 * n).collect();
     let largest = scaled.iter().copied().fold(0.0, f64::max);
     let mut expected: Vec<f64> = scaled.iter().map(|v| v.max(1e-3 * largest)).collect();

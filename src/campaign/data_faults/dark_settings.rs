@@ -142,7 +142,9 @@ fn one_off(points: &[Point], darks: usize) -> Option<Law> {
     found.next().filter(|_| found.next().is_none())
 }
 
-/// Returns the level that the flats have without light as one more dark; `None` if they do not determine it.
+/// Returns the level that the flats have without light as one more dark, from a line with a bend over the
+/// light (linear model of EMVA 1288, and the bend that its linearity error allows); `None` if they do not
+/// determine it.
 /// `charge`: of each dark, DN.
 fn level_of_flats(campaign: &Campaign<'_>, zero: &Zero, darks: &[usize], charge: &[f64]) -> Option<Point> {
     let flats = campaign.places(|s| s.is_lit() && !s.clipped && s.is_of_one_level(zero));

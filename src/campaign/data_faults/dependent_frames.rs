@@ -363,7 +363,7 @@ impl Check for DependentFrames {
                     campaign.fault_of_sets(FaultKind::DependentFrames, &others, text, true)
                 } else {
                     let text = format!(
-                        "set {set} ({}): this dark has {ratio} times the noise of the other darks: it has another gain, or the others were averaged before they were saved, about {frames} frames each; the flats do not tell which, and read noise is not known. Take darks again",
+                        "set {set} ({}): this dark has {ratio} times the noise of the other darks: it has another gain, or the others were averaged before they were saved, about {frames} frames each; the flats do not tell which, and read noise may be wrong by that factor. Take darks again",
                         campaign.file(i, 0)
                     );
                     campaign.fault_of_sets(FaultKind::DependentFrames, &[i], text, false)

@@ -15,7 +15,7 @@ pub const MIN_VARIANCE_DN2: f64 = 0.35;
 /// Minimum ratio of the expected variance to that limit for a set to count as quiet.
 const MIN_QUIET_RATIO: f64 = 2.0;
 /// Maximum relative bend of the curve at the highest level.
-const MAX_BEND: f64 = 0.15;
+pub const MAX_BEND: f64 = 0.15;
 
 /// Photon-transfer curve: variance over the level.
 pub struct Transfer {
@@ -157,7 +157,8 @@ impl Transfer {
     }
 }
 
-fn factors(level: f64) -> [f64; 3] {
+/// Returns the factors of the curve at a level relative to the highest: a line with a bend.
+pub fn factors(level: f64) -> [f64; 3] {
     [1.0, level, level * level]
 }
 
