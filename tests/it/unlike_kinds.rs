@@ -87,6 +87,33 @@ fn averages_of_one_kind_are_named() {
     }
 }
 
+/// All darks but one are means of frames: the single one is not blamed and left out, and a read noise that is
+/// off by more than a tenth does not end with 0.
+#[test]
+fn the_only_single_dark_is_not_blamed() {
+    for (of, seed) in [(2, 375), (3, 376), (4, 377), (8, 378)] {
+        let (bench, mut hot) = (Bench::new(), Hot::new(seed));
+        let mut draw = |light_e: f64, exposure_s: f64| {
+            let frames = if light_e == 0.0 && exposure_s < 0.0125 { of } else { 1 };
+            hot.mean(frames, light_e, exposure_s)
+        };
+        let path = campaign(&bench, &[10.0, 11.0, 12.0, 13.0], &FLATS_MS, &mut draw);
+        for verb in ["noise", "diagnose"] {
+            let output = radcam(&[verb, &path, "--json"]);
+            let said: Value = serde_json::from_slice(&output.stdout).unwrap();
+            let faults = said["data_faults"].as_array().unwrap();
+            assert!(faults.iter().any(|f| f["kind"] == "dependent-frames"), "{of} {verb}: {faults:?}");
+            assert!(faults.iter().all(|f| f["kind"] != "other-settings"), "{of} {verb}: {faults:?}");
+            let read = &said["read_noise_e"];
+            let wrong = read["value"].as_f64().is_some_and(|v| {
+                // The dark charge of 13 ms and the hot pixels add less than a tenth.
+                !(0.95 * READ_E..1.1 * READ_E).contains(&v)
+            });
+            assert!(!wrong || output.status.code() != Some(0), "{of} {verb}: {read}");
+        }
+    }
+}
+
 /// Means of so many frames each, darks and flats, rounded to even as numpy does: named, and the gain is no
 /// result. Single frames and means of three have no such trace.
 #[test]
