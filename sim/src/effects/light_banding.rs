@@ -2,7 +2,7 @@
 
 use super::{
     Campaign, Drawing, Effect, MAINS_HZ, NO_TURN, ONE_EXPOSURE, Page, Parameter, Plain, Prediction, Seen,
-    Stage, other_ripple, ripple_left, spread_of, takes,
+    Stage, Together, other_ripple, ripple_left, spread_of, takes,
 };
 use crate::predict::Ripple;
 
@@ -13,9 +13,13 @@ pub struct LightBanding;
 /// decorrelate within six rows.
 const SHORTEST: f64 = 0.85;
 
-/// Correlation of the first row with the last above which random light changes move whole frames: 1/e, bands
-/// as tall as the frame (a named choice).
+/// Correlation of the first row with the last above which light changes move whole frames: 1/e, of random
+/// ones bands as tall as the frame, of a sine those of a fifth of a period (a named choice).
 const WHOLE_FRAMES: f64 = 0.368;
+
+/// Error of the number of periods in a frame that sees less than one (a named choice: of eight lamps so slow
+/// among 40 that `bands_of_many_lamps` draws the largest deviations are 0.2, 0.13 and 0.07).
+const PART_OF_PERIOD: f64 = 0.08;
 
 /// Minimum ripple frequency of a lamp: twice the frequency of the slowest supply, a railway's 16.7 Hz.
 const SLOWEST_HZ: f64 = 33.0;
@@ -96,7 +100,7 @@ impl Effect for LightBanding {
     /// than a lobe of sinc(f T), since a fit does not cross from one lobe to the next.
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let rows = seen.rows.max(2.0);
-        let per_image = [0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0].map(|n| n / rows);
+        let per_image = [0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 6.5, 10.0, 15.0].map(|n| n / rows);
         let peaks = seen.row_cycles.into_iter().flatten().filter(|f| *f > 1e-4);
         let lines = |cycles: f64, hz: &[f64]| -> Vec<Vec<f64>> {
             hz.iter().map(|hz| vec![0.0, 0.003, cycles, *hz, 0.0]).collect()
@@ -124,7 +128,8 @@ impl Effect for LightBanding {
         if p[0] >= 0.5 {
             libm::pow(p[4], seen.rows) > WHOLE_FRAMES || p[4] < 1.001 * SHORTEST
         } else {
-            p[2] * seen.rows < 0.5
+            let periods = p[2] * seen.rows;
+            periods < 0.25 && libm::cos(std::f64::consts::TAU * periods) > WHOLE_FRAMES
         }
     }
 
@@ -140,14 +145,39 @@ impl Effect for LightBanding {
     }
 
     /// Returns a third of the distance to the farther of the two ripples that fit within three standard
-    /// errors.
+    /// errors. Where a frame sees less than a period, its few phases decide on frequency and amplitude, which
+    /// only their product tells.
     fn resolution(&self, parameter: usize, p: &[f64], seen: &Seen) -> f64 {
         let ripples = seen.ripples.filter(|_| p[0] < 0.5);
+        let periods = p[2] * seen.rows;
+        let partly_seen = if p[0] < 0.5 && periods < 1.0 { PART_OF_PERIOD / periods.max(0.1) } else { 0.0 };
         match parameter {
-            1 => spread_of(ripples, |r| r.rel, p[1]),
+            1 => spread_of(ripples, |r| r.rel, p[1]).hypot(partly_seen * p[1]),
+            2 => partly_seen * p[2],
             3 => spread_of(ripples, |r| r.hz, p[3]),
             _ => 0.0,
         }
+    }
+
+    /// Returns the amplitude of a sine at the shortest and at the longest exposure: under exposures of many
+    /// periods a larger ripple of another frequency leaves as much.
+    fn in_frames(&self, p: &[f64], seen: &Seen) -> Vec<Together> {
+        let step_hz = 1e-4 * p[3];
+        if p[0] >= 0.5 || step_hz <= 0.0 || !seen.lit_s.0.is_finite() {
+            return Vec::new();
+        }
+        let of = |exposure_s: f64| {
+            let left = |hz: f64| ripple_left(hz, exposure_s).abs();
+            let slope = (left(p[3] + step_hz) - left(p[3] - step_hz)) / (2.0 * step_hz);
+            Together {
+                name: "rel * |sinc(f T)|",
+                unit: "1",
+                value: p[1] * left(p[3]),
+                slopes: vec![0.0, left(p[3]), 0.0, p[1] * slope, 0.0],
+                unsure_per_e: 0.0,
+            }
+        };
+        [seen.lit_s.0, seen.lit_s.1].map(of).into()
     }
 
     fn fits_as_well(&self, p: &[f64], seen: &Seen) -> Option<String> {
@@ -227,11 +257,16 @@ mod tests {
     #[test]
     fn ripples_that_fit_as_well_widen_the_error_and_are_said() {
         let [slow, fast] = [(300.0, 0.01), (2700.0, 0.1)].map(|(hz, rel)| FittingRipple { hz, rel });
-        let seen = Seen { ripples: Some([slow, fast]), lit_s: (0.002, 0.01), ..Seen::default() };
+        let seen =
+            Seen { ripples: Some([slow, fast]), lit_s: (0.002, 0.01), rows: 480.0, ..Seen::default() };
         let p = [0.0, 0.01, 0.02, 300.0, 0.0];
         let errors: Vec<f64> = (0..5).map(|k| LightBanding.resolution(k, &p, &seen)).collect();
         assert!((errors[1] - 0.03).abs() < 1e-12 && (errors[3] - 800.0).abs() < 1e-9, "{errors:?}");
         assert!(errors[2] == 0.0);
+        // Half a period in the frame.
+        let few_rows = Seen { rows: 25.0, ..seen };
+        let errors: Vec<f64> = (1..3).map(|k| LightBanding.resolution(k, &p, &few_rows)).collect();
+        assert!((errors[0] - 0.03f64.hypot(0.0016)).abs() < 1e-12 && (errors[1] - 0.0032).abs() < 1e-12);
         let said = LightBanding.fits_as_well(&p, &seen).unwrap();
         // sinc(0.6) is 0.505.
         assert!(

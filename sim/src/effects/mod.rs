@@ -488,6 +488,11 @@ pub trait Effect: Sync + Send {
     fn together(&self, _p: &[f64]) -> Option<Together> {
         None
     }
+    /// Returns sizes that the frames of a campaign show: one of them may be known where no parameter alone
+    /// is.
+    fn in_frames(&self, p: &[f64], _seen: &Seen) -> Vec<Together> {
+        self.together(p).into_iter().collect()
+    }
     /// Returns twice the logarithm of how many times rarer the effect is than its look-alikes. Of two that a
     /// campaign cannot tell apart, the more common one ranks first.
     fn rarer(&self) -> f64 {

@@ -328,7 +328,7 @@ pub fn is_something(fitted: &Fitted, at: usize, seen: &Seen) -> bool {
     let known = if effect.sets_each() || effect.shown_by().is_some() { KNOWN_SCATTER } else { KNOWN };
     let is_known = |value: f64, error: f64| value.abs() > known * error;
     // Two sizes that only their combination tells are each unknown.
-    if effect.together(values).is_some_and(|t| is_known(t.value, fitted.std_err_of(at, &t))) {
+    if effect.in_frames(values, seen).iter().any(|t| is_known(t.value, fitted.std_err_of(at, t))) {
         return true;
     }
     let sizes: Vec<usize> = sizes(*effect, values).collect();
@@ -383,8 +383,9 @@ pub fn surely_there(
     if effect.shown_by().is_some_and(|statistic| deviance_drop(all, without, fitted, statistic) >= needed) {
         return true;
     }
-    if let Some(t) = effect.together(values) {
-        return far(t.value, fitted.std_err_of(at, &t));
+    let shown = effect.in_frames(values, &seen(all, &fitted.base));
+    if !shown.is_empty() {
+        return shown.iter().any(|t| far(t.value, fitted.std_err_of(at, t)));
     }
     let sizes: Vec<usize> = sizes(effect, values).collect();
     sizes.len() != 1 || far(values[sizes[0]], errors[sizes[0]])

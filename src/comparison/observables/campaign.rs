@@ -323,7 +323,7 @@ pub fn of_dataset(
         light_settings: light_settings(&infos, |i| !of_their_own.contains(&i)),
         before_sets,
         successive,
-        ripples: ripple::of_bands(&chunks, &settings, zero_dn),
+        ripples: ripple::of_bands(&chunks, &settings, zero_dn, peaks[0].as_ref()),
         flickers: ripple::of_frames(&chunks, &settings, zero_dn),
         lines: {
             let of = |pixels: &[f32]| pixels.iter().filter(|n| **n > 0.0).count();

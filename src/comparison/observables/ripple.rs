@@ -1,11 +1,13 @@
 //! Frequency of a lamp's ripple, from the fading with the exposure of rolling shutter bands or of the scatter
 //! of whole frames ([`ripple_left`]). A search for light banding, or for flicker, starts from it.
 
+use super::line_peak::{OfRipple, Peak};
 use super::read::Chunk;
 use crate::dataset::{FrameRow, Kind};
 use crate::statistics::median::median;
 use crate::statistics::pass::Summary;
 use radcam_sim::effects::{FittingRipple, ripple_left};
+use std::collections::BTreeMap;
 
 /// Ripples of a lamp that fit the bands of a campaign, or the scatter of its frames.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -52,8 +54,17 @@ const ITERATIONS: usize = 6;
 /// frequency (named choices).
 const FEWEST: (usize, f64) = (4, 0.67);
 
-/// Returns the ripples that fit the bands in the flats of a campaign.
-pub(super) fn of_bands(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -> Ripples {
+/// Returns the ripples that fit the bands in the flats of a campaign. `peak`: that of the spectrum of row
+/// means.
+pub(super) fn of_bands(
+    chunks: &[Chunk],
+    settings: &[FrameRow],
+    zero_dn: f64,
+    peak: Option<&Peak>,
+) -> Ripples {
+    if let Some(parts) = peak.and_then(Peak::of_ripple) {
+        return ripples(&rippled_at_peak(&parts, chunks, settings, zero_dn));
+    }
     // Variance of row means beyond the noise of pixels, and its error.
     let beyond = |s: &Summary| {
         let columns = s.columns_dn.len().max(1) as f64;
@@ -62,8 +73,6 @@ pub(super) fn of_bands(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) ->
         let dof = (s.frames as f64 - 1.0) * s.rows_dn.len() as f64;
         (rows_dn2 - of_pixels, of_pixels * (2.0 / dof.max(1.0)).sqrt())
     };
-    // The mean product of two different of n frames with independent phases scatters by 1 / n (n - 1).
-    let by_phases = |n: f64| 1.0 / (n * (n - 1.0)).max(1.0);
     ripples(&rippled(chunks, settings, zero_dn, beyond, by_phases))
 }
 
@@ -80,6 +89,37 @@ pub(super) fn of_frames(chunks: &[Chunk], settings: &[FrameRow], zero_dn: f64) -
     // is 1.5 times the square of its second.
     let by_phases = |n: f64| 1.5 / n - (n - 3.0) / (n * (n - 1.0)).max(1.0);
     ripples(&rippled(chunks, settings, zero_dn, beyond, by_phases))
+}
+
+/// Returns the flats with the variance that a ripple of the peak's frequency has in them.
+fn rippled_at_peak(
+    parts: &[OfRipple],
+    chunks: &[Chunk],
+    settings: &[FrameRow],
+    zero_dn: f64,
+) -> Vec<Rippled> {
+    let mut levels: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    for c in chunks {
+        levels.entry(c.set).or_default().push(c.summary.frame_means.mean_dn() - zero_dn);
+    }
+    let signal_dn = |set: usize| median(levels.get(&set).into_iter().flatten().copied());
+    let of_part = |p: &OfRipple| {
+        let signal_dn = signal_dn(p.set);
+        let is_lit = settings[p.set].kind == Kind::Flat && signal_dn > 0.0;
+        is_lit.then(|| Rippled {
+            exposure_s: settings[p.set].exposure_s,
+            signal_dn,
+            var_dn2: p.var_dn2,
+            by_phases: by_phases(p.frames),
+        })
+    };
+    parts.iter().filter_map(of_part).collect()
+}
+
+/// Returns the relative variance of the variance of row means by a ripple due to the phases of this number
+/// of frames: the mean product of two different ones with independent phases scatters by 1 / n (n - 1).
+fn by_phases(frames: f64) -> f64 {
+    1.0 / (frames * (frames - 1.0)).max(1.0)
 }
 
 /// Returns the flats with their variance beyond that of darks. `beyond`: variance beyond the noise of pixels,
