@@ -91,6 +91,14 @@ impl SetView {
         if steps.len() > 1 { mean_square.sqrt() } else { 0.0 }
     }
 
+    /// Returns the standard error of the difference between the first frame's mean and the median of the
+    /// others, by the pixels' noise and the scatter of the frames, DN; `None` without a pair.
+    pub(super) fn first_frame_error_dn(&self) -> Option<f64> {
+        let others = self.frames().saturating_sub(1) as f64;
+        let of_pixels = (self.variance_dn2()?.0 / self.facts.pixels.max(1.0)).sqrt();
+        Some(of_pixels.max(self.own_scatter_dn()) * (1.0 + 1.0 / others.max(1.0)).sqrt())
+    }
+
     /// Returns the mean of the last frame in use, DN.
     pub fn last_dn(&self) -> f64 {
         self.places().last().map_or(f64::NAN, |i| self.facts.means_dn[i])

@@ -86,6 +86,37 @@ pub(super) fn fit(points: &[Point], gain: f64, constant: f64, of_line: (f64, usi
     Some(curve)
 }
 
+/// Slope and variance at zero signal of a parabola less those of the line, where the levels bend.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bend {
+    /// Difference of A, DN/e.
+    pub gain: f64,
+    /// Difference of the variance at zero signal, DN^2.
+    pub constant: f64,
+    /// Size of the bend, in its standard errors.
+    pub sigmas: f64,
+}
+
+/// Minimum bend that counts, in its standard errors (a named choice: 1 of 370 lines has it by chance).
+const SHOWS: f64 = 3.0;
+
+/// Returns the bend of levels that may lie on a line as a whole, since chi-square of many levels hardly sees
+/// one term; `None` if a line is as good (likelihood ratio; Bevington and Robinson 2003, section 11.4).
+pub(super) fn bend(points: &[Point], gain: f64, constant: f64, chi2_of_line: f64) -> Option<Bend> {
+    let used: Vec<&Point> = points.iter().filter(|p| p.excluded.is_none()).collect();
+    if used.iter().filter(|p| p.kind == Kind::Flat).count() < MIN_LIT {
+        return None;
+    }
+    let curve = of_order(&used, 2, gain, constant)?;
+    let usual = (curve.chi2 / curve.dof.max(1) as f64).max(1.0);
+    let sigmas = ((chi2_of_line - curve.chi2) / usual).max(0.0).sqrt();
+    (sigmas > SHOWS).then_some(Bend {
+        gain: curve.gain.0 - gain,
+        constant: curve.constant.0 - constant,
+        sigmas,
+    })
+}
+
 fn of_order(used: &[&Point], order: usize, gain: f64, constant: f64) -> Option<Curve> {
     let n = order + 1;
     let top = used.iter().map(|p| p.mean_dn).fold(0.0, f64::max);
