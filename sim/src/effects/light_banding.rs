@@ -257,8 +257,7 @@ mod tests {
     #[test]
     fn ripples_that_fit_as_well_widen_the_error_and_are_said() {
         let [slow, fast] = [(300.0, 0.01), (2700.0, 0.1)].map(|(hz, rel)| FittingRipple { hz, rel });
-        let seen =
-            Seen { ripples: Some([slow, fast]), lit_s: (0.002, 0.01), rows: 480.0, ..Seen::default() };
+        let seen = Seen { ripples: Some([slow, fast]), lit_s: (0.002, 0.01), rows: 480.0, ..Seen::default() };
         let p = [0.0, 0.01, 0.02, 300.0, 0.0];
         let errors: Vec<f64> = (0..5).map(|k| LightBanding.resolution(k, &p, &seen)).collect();
         assert!((errors[1] - 0.03).abs() < 1e-12 && (errors[3] - 800.0).abs() < 1e-9, "{errors:?}");
