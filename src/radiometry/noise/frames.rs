@@ -121,8 +121,9 @@ pub fn of_dataset(
     Ok(NoiseReport { data_faults: dataset.data_faults().to_vec(), ..report })
 }
 
-/// Minimum ratio of the variances of darks of one exposure at which they are no frames of one camera under one
-/// setting, and minimum difference in its errors (named choices: read noise changes by 1 % per K or less).
+/// Minimum ratio of the variances of darks of one exposure at which they are no frames of one camera under
+/// one setting, and minimum difference in its errors (named choices: read noise changes by 1 % per K or
+/// less).
 const UNLIKE: (f64, f64) = (1.2, 10.0);
 
 /// Set and variance, DN^2, of the darks of one exposure with the least and the most noise.
