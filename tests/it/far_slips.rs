@@ -2,7 +2,7 @@
 
 use crate::data_faults::{BLACK_DN, of_flats};
 use crate::rewritten::{Campaign, set_of_plan};
-use crate::support::expect;
+use crate::support::{expect, radcam};
 use radcam_sim::rng::{PixelRng, Stream};
 
 /// One fault of a kind is said, of these sets, with these words; nothing is missing then, and the gain lies
@@ -412,6 +412,40 @@ fn lag_after_unsaved_darks_is_no_dim_lamp() {
         );
     }
     assert!(said["notes"].to_string().contains("darkness before each set"), "{}", said["notes"]);
+}
+
+/// Darks of one exposure, each pair the means of another number of frames: the read noise is not low without
+/// a word, but said and within its error, or ends with 1.
+#[test]
+fn darks_of_unlike_means_are_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("plan.toml");
+    let flats: String = (1..9).map(|k| set_of_plan("flat", 2, 0.8, 0.1 * f64::from(k))).collect();
+    let text = flats + &set_of_plan("dark", 16, 0.8, 0.0).repeat(6);
+    std::fs::write(&plan, format!("format = \"radcam-plan/1\"\n{text}")).unwrap();
+    let mut campaign = Campaign::new("cmos12", plan.to_str().unwrap(), 380);
+    let truth = campaign.said("noise")["read_noise_e"]["value"].as_f64().unwrap();
+    let mut gone = Vec::new();
+    for (set, of) in campaign.sets("dark", 16).into_iter().zip([2usize, 1, 4, 3, 8, 6]) {
+        let rows = campaign.of(set);
+        for k in 0..2 {
+            let frames = rows[k * of..][..of].iter().map(|row| campaign.frame(*row).mapv(f64::from));
+            let sum = frames.reduce(|sum, frame| sum + frame).unwrap();
+            campaign.put(rows[k], &(sum / of as f64).mapv(|v| v.round() as u16));
+        }
+        gone.extend_from_slice(&rows[2..]);
+    }
+    campaign.leave_out(&gone);
+    let output = radcam(&["noise", &campaign.path(), "--json"]);
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let read = &said["read_noise_e"];
+    let holds =
+        read["value"].as_f64().zip(read["std_err"].as_f64()).is_none_or(|(v, e)| (v - truth).abs() < 3.0 * e);
+    let words = format!("{} {}", said["data_faults"], said["notes"]);
+    assert!(
+        words.contains("averaged") && (holds || output.status.code() == Some(1)),
+        "{read} for {truth}: {words}"
+    );
 }
 
 /// A sweep in steps of a third under a lag of 1 %, whose first frames alone show it: `noise` says so, and the

@@ -36,11 +36,12 @@ const CARRIED_SHARES: std::ops::Range<f64> = 0.003..0.5;
 /// Maximum relative scatter of a common carry-over: lamps and isolated faults have none in common.
 const MAX_SHARE_SCATTER: f64 = 0.3;
 
-/// Minimum number of changes whose carry-over the noise leaves known, of which seven eighths agree, that
-/// distinguishes it from flicker; maximum error of such a one, relative to it, and deviations of the noise
-/// within which they agree (named choices: see `flicker_is_no_lag`).
+/// Minimum number of known carry-overs, of which seven eighths agree, that distinguishes them from flicker (a
+/// named choice: see `carry_over_is_known_by_few_changes`).
 const MIN_KNOWN_CHANGES: usize = 6;
+/// Maximum error of a known carry-over by the noise of frames, relative to it (a named choice).
 const KNOWN_SHARE: f64 = 0.2;
+/// Maximum deviation by the noise of carry-overs that agree, in its standard deviations.
 const SHARE_SIGMAS: f64 = 3.0;
 
 /// Line of the dark level over exposure.
@@ -584,7 +585,7 @@ mod tests {
     }
 
     /// Flicker far beyond the noise of frames is not taken for carry-over in more than 1 of 1000 sweeps of
-    /// 6 to 20 changes, and a lag of 1 % is found where the noise leaves it known in six of them.
+    /// 6 to 20 changes, and a lag of 1 % is found where the noise leaves it known to 0.15 % in eight of them.
     #[test]
     fn carry_over_is_known_by_few_changes() {
         let mut false_ones = 0;

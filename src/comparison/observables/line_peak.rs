@@ -204,7 +204,7 @@ pub(super) fn find(
             _ => Group::Long,
         }
     };
-    // Ripples of one size in all frames have the same group values whatever the weight.
+    // A ripple of one size in all frames has the same value in all flats, whatever their weights.
     let of_flats = if axis == Axis::Rows && origin == Origin::Additive { Origin::Light } else { origin };
     let part = |s: &Spectrum<'_>| Part {
         set: s.set,

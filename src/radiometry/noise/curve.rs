@@ -93,6 +93,8 @@ pub(super) struct Bend {
     pub gain: f64,
     /// Difference of the variance at zero signal, DN^2.
     pub constant: f64,
+    /// Variance at the highest level over that of the straight line from the dark end, less 1.
+    pub at_top: f64,
     /// Size of the bend, in its standard errors.
     pub sigmas: f64,
 }
@@ -113,6 +115,7 @@ pub(super) fn bend(points: &[Point], gain: f64, constant: f64, chi2_of_line: f64
     (sigmas > SHOWS).then_some(Bend {
         gain: curve.gain.0 - gain,
         constant: curve.constant.0 - constant,
+        at_top: curve.bend,
         sigmas,
     })
 }
