@@ -607,8 +607,9 @@ fn search_without(
     Found { fitted: fitted.unwrap_or_else(|| model.clone()), first, given_up: None }
 }
 
-/// Gives an effect of the model another form if that explains more. An effect that was found beside a
-/// stand-in for a part of it, which is gone again, has the form that was left to it.
+/// Gives an effect of the model another form if that explains more, or a simpler one that explains as much.
+/// An effect that was found beside a stand-in for a part of it, which is gone again, has the form that was
+/// left to it.
 fn with_best_forms(
     all: &Observations,
     mut model: Fitted,
@@ -630,7 +631,13 @@ fn with_best_forms(
         let against = score(all, &rest) - score(all, &model);
         let look = Look { all, now: &rest, guess: None, most: 1, not: &not, against, memo };
         let Some(other) = look.candidates().into_iter().next() else { continue };
-        if other.evidence > against + NEEDED {
+        // A simpler form need not pay for itself.
+        let used = |model: &Fitted, at: usize| {
+            let (effect, values) = &model.effects[at];
+            (0..values.len()).filter(|k| effect.uses(values, *k)).count()
+        };
+        let is_simpler = used(&other.fitted, other.fitted.effects.len() - 1) < used(&model, at);
+        if other.evidence > against + if is_simpler { 0.0 } else { NEEDED } {
             tracing::debug!(
                 "{} in another form: evidence {:.1}, was {against:.1}",
                 effect.id(),
