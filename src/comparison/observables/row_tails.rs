@@ -165,8 +165,8 @@ mod tests {
         assert!(all.iter().filter(|z| z.abs() > 3.0).count() <= 20);
     }
 
-    /// Over 2000 lists of 1000 rows that wander or share a number, beside independent noise, the variance of z
-    /// is 1 within a tenth and five standard errors.
+    /// Over 2000 lists of 1000 rows that wander or share a number, beside independent noise, the variance of
+    /// z is 1 within a tenth and five standard errors.
     #[test]
     fn errors_cover_rows_that_are_alike() {
         for (wander, next, common) in [(1.0f64, 0.9f64, 0.0f64), (0.5, 0.97, 0.0), (0.3, 0.9, 0.1)] {
