@@ -24,6 +24,10 @@ impl Effect for IlluminationDrift {
         Stage::Light
     }
 
+    fn is_of_the_lamp(&self) -> bool {
+        true
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         &[drift::SHAPE_OF_LIGHT, RATE, EXCESS, drift::TAU]
     }

@@ -30,6 +30,10 @@ impl Effect for IlluminationFlicker {
         Stage::Light
     }
 
+    fn is_of_the_lamp(&self) -> bool {
+        true
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         &[
             Parameter {

@@ -14,6 +14,10 @@ impl Effect for IlluminationSetting {
         Stage::Light
     }
 
+    fn is_of_the_lamp(&self) -> bool {
+        true
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         &[Parameter {
             name: "rel",

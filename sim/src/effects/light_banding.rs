@@ -41,6 +41,10 @@ impl Effect for LightBanding {
         Stage::Light
     }
 
+    fn is_of_the_lamp(&self) -> bool {
+        true
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         &[
             Parameter {

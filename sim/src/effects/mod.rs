@@ -534,6 +534,10 @@ pub trait Effect: Sync + Send {
     fn shows_in_darks(&self) -> bool {
         matches!(self.stage(), Stage::Read | Stage::Converter | Stage::Firmware)
     }
+    /// Returns true if the lamp and not the camera has the effect.
+    fn is_of_the_lamp(&self) -> bool {
+        false
+    }
     /// Returns true if the effect changes the level of flats of one light with time.
     fn is_drift_of_level(&self) -> bool {
         false

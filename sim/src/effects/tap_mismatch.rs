@@ -45,7 +45,7 @@ impl Effect for TapMismatch {
                 unit: "DN",
                 min: -1e3,
                 max: 1e3,
-                starts: &[0.0],
+                starts: &[0.0, 1.0],
             },
             // Right half, lower half, odd columns, odd rows.
             Parameter {

@@ -2,6 +2,7 @@
 //! and settling first frames are not independent.
 
 use super::Part;
+use crate::dataset::Kind;
 use crate::inference::{Fitted, residuals_of};
 use crate::observables::{Observations, Statistic, mean};
 use radcam_sim::rng::{PixelRng, Stream};
@@ -160,12 +161,22 @@ fn first_frames(sets: &[(&[f64], f64)]) -> f64 {
     if variance > 0.0 { sum / variance.sqrt() } else { 0.0 }
 }
 
+/// Maximum scatter of the settings of the light in the errors of a set's mean (a named choice: the product of
+/// two halves then has a mean of a tenth).
+const MOST_SCATTER: f64 = 0.3;
+
 /// Computes the standardised agreement of the mean residuals of both halves of each set: sum of the products
-/// over the root of the sum of their squares, normal if signs are random (Efron 1969).
+/// over the root of the sum of their squares, normal if signs are random (Efron 1969). Flats whose
+/// settings of the light scatter by more than the means are known tell of the light and not of the effect.
 fn alike(all: &Observations, whole: &Fitted) -> f64 {
+    let scatter_rel = whole.base.setting_rel.unwrap_or(0.0);
     let mut of_set: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
     for r in residuals_of(all, whole).iter().filter(|r| r.statistic == mean::Mean.id()) {
-        if let Some(set) = r.set {
+        let is_dark = |set: u32| {
+            all.set_numbers.iter().position(|n| *n == set).is_some_and(|s| all.kinds[s] == Kind::Dark)
+        };
+        let is_known = scatter_rel * r.level_dn < MOST_SCATTER * r.std_err;
+        if let Some(set) = r.set.filter(|set| is_known || is_dark(*set)) {
             of_set.entry(set).or_default().push((r.measured - r.predicted) / r.std_err);
         }
     }

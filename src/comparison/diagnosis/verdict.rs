@@ -6,7 +6,7 @@ use crate::agreement::Agreement;
 use crate::features::LeftOn;
 use crate::inference::{Comparison, Fitted};
 use crate::number::{Quantity, percent, with_unit};
-use radcam_sim::effects::{Parameter, Stage, find};
+use radcam_sim::effects::{Parameter, find};
 use serde::{Deserialize, Serialize};
 
 /// The verdict.
@@ -196,8 +196,7 @@ fn sentences(
 ) -> (String, String) {
     let page = find(&top.effect).map(|e| e.page());
     let what = page.map_or_else(|| format!("It has {}.", top.effect), |p| p.what.to_string());
-    let subject =
-        if find(&top.effect).is_some_and(|e| e.stage() == Stage::Light) { "light" } else { "camera" };
+    let subject = if find(&top.effect).is_some_and(|e| e.is_of_the_lamp()) { "light" } else { "camera" };
     let (shows, close) =
         if top.partial { ("behaves mostly like", ", and is not quite that") } else { ("shows", "") };
     let costs = cost(&top.cost, whole).map_or_else(
