@@ -205,7 +205,7 @@ pub struct Levels {
 const NOISIEST: [f64; 2] = [0.01, 0.05];
 /// Minimum pixels and degrees of freedom of this statistic.
 const PIXELS: f64 = 4.0;
-const DOF: f64 = 2.0;
+const DOF: f64 = 3.0;
 /// Minimum variance of a pixel that covers more than two codes, DN^2: 1/12 and 0.56 DN of noise, which
 /// rounding changes by 2 exp(-2 pi^2 0.32) = 0.004 (Widrow and Kollar 2008, ch. 4).
 pub const LEAST_DN2: f64 = 0.4;
