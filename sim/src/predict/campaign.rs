@@ -1,7 +1,7 @@
 //! Frames and sets of a campaign, as far as a prediction needs them.
 
 use super::PLACES;
-use crate::quantize::rounded;
+use crate::quantize::{Rounded, rounded};
 
 /// Exposures before a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -117,6 +117,46 @@ impl Ordinary {
     }
 }
 
+/// Pixels that are noisier than the ordinary ones, in squares of the code's step.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Noisy {
+    /// Share of the pixels.
+    share: f64,
+    /// Variance of their noise.
+    pub variance: f64,
+}
+
+/// Minimum part of the variance of all pixels that is due to the noisy ones, for them to be clipped apart (a
+/// named choice).
+const NOISY_PART: f64 = 0.01;
+
+impl Noisy {
+    /// Derives share and variance of the noisy pixels from the variance of the ordinary ones, the mean over
+    /// all pixels, and the variance of the pixels' variances that the ordinary ones leave over: two groups
+    /// with these moments.
+    pub fn beside(ordinary: f64, all: f64, unlike: f64) -> Option<Self> {
+        let more = all - ordinary;
+        let apart = unlike.max(0.0) / more + more;
+        (more > NOISY_PART * all && apart > more)
+            .then(|| Self { share: more / apart, variance: ordinary + apart })
+    }
+
+    /// Returns what clipping leaves of both groups together.
+    pub fn mixed(self, ordinary: f64, clip: impl Fn(f64) -> Rounded) -> Rounded {
+        let (a, b) = (clip(ordinary), clip(self.variance));
+        let both = |a: f64, b: f64| (1.0 - self.share) * a + self.share * b;
+        let apart = |a: f64, b: f64| self.share * (1.0 - self.share) * (b - a) * (b - a);
+        Rounded {
+            mean: both(a.mean, b.mean),
+            slope: both(a.slope, b.slope),
+            variance: both(a.variance, b.variance),
+            unequal: both(a.unequal, b.unequal) + apart(ordinary + a.variance, self.variance + b.variance)
+                - apart(ordinary, self.variance),
+            fourth: both(a.fourth, b.fourth),
+        }
+    }
+}
+
 /// Number of iterations after which a level before rounding is known to a hundredth of a code.
 const LEVEL_ROUNDS: usize = 5;
 /// Minimum variance that differs from none, DN^2 (a named choice: a tenth of a code).
@@ -140,3 +180,47 @@ pub(super) fn before_rounding(level: f64, measured: f64, variance: f64) -> f64 {
 
 /// Number of iterations after which the spread is known to some per cent.
 const SPREAD_ROUNDS: usize = 6;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::predict::NORMAL;
+    use crate::quantize::rounded_from_zero;
+    use crate::rng::{PixelRng, Stream};
+
+    /// Pixels of 0.9 codes of noise, one in 200 of 5 codes, 2.5 codes above code 0: mean, mean variance and
+    /// variance of the variances after clipping agree with 400 lists of 2000 pixels within five standard
+    /// errors.
+    #[test]
+    fn noisy_pixels_are_clipped_more_than_others() {
+        let (level, share, ordinary, loud) = (2.5, 1.0 / 200.0, 0.81, 25.0);
+        let apart: f64 = loud - ordinary;
+        let unlike = share * (1.0 - share) * apart * apart;
+        let noisy = Noisy::beside(ordinary, ordinary + share * apart, unlike).unwrap();
+        assert!((noisy.share - share).abs() < 1e-12 && (noisy.variance - loud).abs() < 1e-9);
+        let found = noisy.mixed(ordinary, |variance| rounded_from_zero(level, 0.0, &NORMAL, variance));
+        let variance = ordinary + share * apart + found.variance;
+        let expected = [level + found.mean, variance, unlike + found.unequal];
+        let list = |k: u32| {
+            let mut rng = PixelRng::new(31, Stream::Effect, 0, k, 0);
+            let mut sums = [0.0; 3];
+            for pixel in 0..2000 {
+                let sd = if pixel % 200 == 0 { loud } else { ordinary }.sqrt();
+                let mut codes = || (level + sd * rng.normal()).round().max(0.0);
+                let (a, b, c, d) = (codes(), codes(), codes(), codes());
+                // Two independent estimates of a pixel's variance: their product has no bias.
+                let (one, other) = (0.5 * (a - b) * (a - b), 0.5 * (c - d) * (c - d));
+                sums[0] += 0.25 * (a + b + c + d);
+                sums[1] += 0.5 * (one + other);
+                sums[2] += (one - variance) * (other - variance);
+            }
+            sums.map(|sum| sum / 2000.0)
+        };
+        let all: Vec<[f64; 3]> = (0..400).map(list).collect();
+        for (k, expected) in expected.into_iter().enumerate() {
+            let mean = all.iter().map(|l| l[k]).sum::<f64>() / 400.0;
+            let error = (all.iter().map(|l| (l[k] - mean).powi(2)).sum::<f64>() / 399.0 / 400.0).sqrt();
+            assert!((mean - expected).abs() < 5.0 * error, "{k}: {mean} +- {error} for {expected}");
+        }
+    }
+}

@@ -6,7 +6,7 @@ mod set;
 
 use crate::normal::upper;
 use crate::quantize::{NODES, reaches_zero, rounded_from_zero, rounded_unlike};
-use campaign::before_rounding;
+use campaign::{Noisy, before_rounding};
 
 pub use crate::normal::{NORMAL, PLACES};
 pub use crate::spectrum::{Filter, GRID, HALF, LAGS, LineNoise, Ripple, Spectrum, angle, cosine_power};
@@ -181,7 +181,8 @@ impl Prediction {
         let may_be_clipped = c.from_code_0 && self.cut_at_0 && self.base.offset_dn + self.floor_dn < 0.0;
         for (i, s) in self.sets.iter_mut().enumerate() {
             let variance = s.covariance(0, 0) / square;
-            let unlike = s.unequal.max(0.0) / (square * variance * square * variance).max(f64::MIN_POSITIVE);
+            let unlike_all = s.unequal.max(0.0) / (square * square);
+            let unlike = unlike_all / (variance * variance).max(f64::MIN_POSITIVE);
             // A few noisy pixels make the spread large, but do not change the rounding of the others.
             let (own, unlike) = match c.ordinary {
                 Some(ordinary) => {
@@ -191,11 +192,18 @@ impl Prediction {
             };
             let (spread, places) = c.sets.get(i).map_or((0.0, &NORMAL), |s| (s.spread_dn / step, &s.places));
             let level = (s.signal + self.base.offset_dn - self.code_zero_dn) / step;
-            let rounded = if may_be_clipped && reaches_zero(level, spread, places, variance) {
+            let noisy =
+                c.ordinary.and_then(|_| Noisy::beside(own, variance, unlike_all - unlike * own * own));
+            let loudest = noisy.map_or(variance, |n| n.variance);
+            let rounded = if may_be_clipped && reaches_zero(level, spread, places, loudest) {
                 // Levels are measured after clipping. Before it their spread is larger, by the inverse share
                 // of the pixels that are not clipped.
                 let slope = upper(-level / libm::sqrt(variance + spread * spread).max(0.02));
-                let found = rounded_from_zero(level, spread / slope.clamp(0.3, 1.0), places, variance);
+                let spread = spread / slope.clamp(0.3, 1.0);
+                let found = match noisy {
+                    Some(n) => n.mixed(own, |variance| rounded_from_zero(level, spread, places, variance)),
+                    None => rounded_from_zero(level, spread, places, variance),
+                };
                 // The distribution of the pixels' levels is represented by nine groups only.
                 s.unsure = libm::hypot(s.unsure, 0.3 * square * square * found.unequal);
                 s.unsure_mean = libm::hypot(s.unsure_mean, 0.02 * step * found.mean.abs());
