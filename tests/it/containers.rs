@@ -229,6 +229,69 @@ fn stretched_codes_of_other_files_are_those_of_the_converter() {
     }
 }
 
+/// A BMP of rows from the bottom to the top, each filled up to four bytes: with a palette of greys, or in
+/// three channels that differ by `colour` in the last pixel.
+fn bmp(frame: &Array2<u16>, channels: usize, colour: u8) -> Vec<u8> {
+    let (rows, columns) = frame.dim();
+    let palette: Vec<u8> =
+        if channels == 1 { (0..=255).flat_map(|v| [v, v, v, 0]).collect() } else { vec![] };
+    let mut pixels = Vec::new();
+    for row in frame.rows().into_iter().rev() {
+        pixels.extend(row.iter().flat_map(|v| vec![*v as u8; channels]));
+        pixels.resize(pixels.len().next_multiple_of(4), 0);
+    }
+    if channels == 3 {
+        pixels[0] ^= colour;
+    }
+    let start = 54 + palette.len() as u32;
+    let [size, width, height, data] =
+        [start as usize + pixels.len(), columns, rows, pixels.len()].map(|v| (v as u32).to_le_bytes());
+    let [start, zero, header] = [start, 0, 40].map(u32::to_le_bytes);
+    let [planes, bits] = [1, 8 * channels as u16].map(u16::to_le_bytes);
+    let head = [b"BM".as_slice(), &size, &zero, &start, &header, &width, &height, &planes, &bits];
+    let head = [head.concat(), [zero, data, zero, zero, zero, zero].concat(), palette];
+    [head.concat(), pixels].concat()
+}
+
+/// BMP as viewers of cameras save it, and a PNG in three channels: grey ones are the frames, a colour is
+/// refused with advice.
+#[test]
+fn grey_frames_in_colours_are_read() {
+    let camera = Camera { bits: 8, gain: 0.1, read_noise_e: 10.0, black_dn: 16.0, most_e: 2000.0 };
+    let save = |path: &Path, frame: &Array2<u16>, kind: usize, colour: u8| {
+        if kind < 4 {
+            return fs::write(path, bmp(frame, kind, colour)).unwrap();
+        }
+        let (rows, columns) = frame.dim();
+        let mut encoder = png::Encoder::new(fs::File::create(path).unwrap(), columns as u32, rows as u32);
+        encoder.set_color(png::ColorType::Rgb);
+        let mut bytes: Vec<u8> = frame.iter().flat_map(|v| [*v as u8; 3]).collect();
+        bytes[0] ^= colour;
+        encoder.write_header().unwrap().write_image_data(&bytes).unwrap();
+    };
+    for (kind, extension) in [(1, "bmp"), (3, "bmp"), (4, "png")] {
+        let folder = Folder::new();
+        for (file, frame) in camera.frames() {
+            let frame = frame.slice(ndarray::s![.., 1..]).to_owned();
+            save(&folder.file(&format!("{file}.{extension}")), &frame, kind, 0);
+        }
+        let (said, dataset) = folder.import();
+        assert_eq!(dataset.manifest().camera.bit_depth, 8, "{kind}: {said}");
+        let first = camera.frame(0, 0.0).slice(ndarray::s![.., 1..]).to_owned();
+        assert_eq!(dataset.read(&dataset.rows()[0]).unwrap(), first, "{kind}");
+        let (gain, read_noise_e) = folder.noise();
+        assert!(close(gain, 0.1, 0.05) && close(read_noise_e, 10.0, 0.03), "{kind}: {gain} {read_noise_e}");
+        if kind == 1 {
+            continue;
+        }
+        let folder = Folder::new();
+        let path = folder.file(&format!("dark_1ms_0.{extension}"));
+        save(&path, &camera.frame(0, 0.0), kind, 1);
+        let said = refused(&["import", path.to_str().unwrap(), "-o", folder.file("out").to_str().unwrap()]);
+        assert!(said.contains("BayerRG8, not RGB8"), "{kind}: {said}");
+    }
+}
+
 /// Codes that count in every step stay as they are, however few bits they need.
 #[test]
 fn codes_of_the_converter_stay() {

@@ -112,3 +112,17 @@ fn with_a_plan_no_frame_is_read_twice() {
     let told = refused(&["merge", twice, twice, "-o", output.to_str().unwrap()]);
     assert!(told.contains("share no frame"), "{told}");
 }
+
+/// Statistics that cannot be read say why: an empty file, and one of another version.
+#[test]
+fn other_statistics_are_refused_by_their_reason() {
+    let dir = tempfile::tempdir().unwrap();
+    for (start, said) in [("", "is empty"), ("radcam statistics 2\n\0", "another version of radcam")] {
+        let path = dir.path().join("night.stats");
+        std::fs::write(&path, start).unwrap();
+        for verb in ["noise", "diagnose", "emva"] {
+            let why = refused(&[verb, path.to_str().unwrap()]);
+            assert!(why.contains(said) && why.contains("night.stats"), "{verb}: {why}");
+        }
+    }
+}

@@ -26,6 +26,7 @@ pub(crate) use examination::{Examination, PassedOver, StruckSamples};
 pub use fault::{DataFault, FaultKind};
 pub use frames::Region;
 pub use manifest::{BenchInfo, CameraInfo, FORMAT, ImportInfo, Manifest};
+use reduced::ANY_HEAD;
 pub(crate) use reduced::{HEAD, is_statistics};
 pub use reduced::{Key, Reduced};
 #[cfg(feature = "cli")]
@@ -382,10 +383,9 @@ fn no_manifest(folder: &Path) -> String {
     if let Some(text) = inside.iter().find(|p| is(p, &["txt"]) && emva::open(p).is_ok()) {
         return format!("has no dataset.toml; {} is an EMVA 1288 descriptor: give that file", text.display());
     }
-    if inside
-        .iter()
-        .any(|p| p.is_dir() || is(p, &["tif", "tiff", "png", "fits", "fit", "npy", "h5", "hdf5", "nxs"]))
-    {
+    if inside.iter().any(|p| {
+        p.is_dir() || is(p, &["tif", "tiff", "png", "bmp", "fits", "fit", "npy", "h5", "hdf5", "nxs"])
+    }) {
         return format!("has no dataset.toml; for loose images: radcam import {name} -o DATASET");
     }
     "has no dataset.toml: no dataset".into()
@@ -394,9 +394,15 @@ fn no_manifest(folder: &Path) -> String {
 /// Reads the text of a descriptor or table; an image is reported as such.
 fn text(path: &Path) -> Result<String, DatasetError> {
     let start = input::start(path, 1024).map_err(DatasetError::io(path))?;
+    let refused = |message: &str| DatasetError::Manifest { path: path.into(), message: message.into() };
+    if start.is_empty() {
+        return Err(refused("is empty: a copy that was cut off?"));
+    }
     if start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") {
-        let message = "a text in UTF-16; save it as UTF-8".into();
-        return Err(DatasetError::Manifest { path: path.into(), message });
+        return Err(refused("a text in UTF-16; save it as UTF-8"));
+    }
+    if start.starts_with(ANY_HEAD) {
+        return Err(refused("statistics of another version of radcam: reduce the frames anew with this one"));
     }
     let text = match (start.contains(&0), input::table(path)) {
         (false, Ok(text)) => Some(text),
@@ -405,11 +411,11 @@ fn text(path: &Path) -> Result<String, DatasetError> {
         }
         _ => None,
     };
-    text.ok_or_else(|| DatasetError::Manifest {
-        path: path.into(),
-        message: "no text but an image or another binary file; a dataset is a folder with dataset.toml, an EMVA 1288 descriptor, \
-                  or a table (CSV with mean_dn and var_dn2)"
-            .into(),
+    text.ok_or_else(|| {
+        refused(
+            "no text but an image or another binary file; a dataset is a folder with dataset.toml, an EMVA 1288 descriptor, \
+             or a table (CSV with mean_dn and var_dn2)",
+        )
     })
 }
 

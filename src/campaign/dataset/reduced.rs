@@ -9,6 +9,8 @@ use std::sync::Arc;
 
 /// First line of a statistics file.
 pub(crate) const HEAD: &[u8] = b"radcam statistics 1\n";
+/// Start of the first line in every version.
+pub(super) const ANY_HEAD: &[u8] = b"radcam statistics ";
 
 /// Returns true for a file that begins as a statistics file.
 pub(crate) fn is_statistics(path: &Path) -> bool {

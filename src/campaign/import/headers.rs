@@ -21,7 +21,7 @@ pub fn facts(path: &Path) -> Result<(Facts, usize), String> {
     if start.starts_with(b"\x89PNG") {
         return Ok((of_png(path).unwrap_or_default(), 1));
     }
-    if start.starts_with(b"\x93NUMPY") {
+    if start.starts_with(b"\x93NUMPY") || start.starts_with(image::bmp_file::BMP) {
         return Ok((Facts::default(), 1));
     }
     if start.starts_with(image::JPEG) {

@@ -6,8 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Extensions of image files searched for in folders.
-const EXTENSIONS: [&str; 13] =
-    ["tif", "tiff", "dng", "png", "fits", "fit", "fts", "npy", "h5", "hdf5", "hdf", "nxs", "nx5"];
+const EXTENSIONS: [&str; 14] =
+    ["tif", "tiff", "dng", "png", "bmp", "fits", "fit", "fts", "npy", "h5", "hdf5", "hdf", "nxs", "nx5"];
 /// Additional extensions of a compressed FITS, after its own.
 pub(super) const PACKED: [&str; 2] = ["gz", "fz"];
 

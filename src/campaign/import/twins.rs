@@ -42,7 +42,7 @@ pub fn digest(values: &Values) -> u64 {
 
 /// Ranks a file by the amount of its metadata, then by format.
 fn rank(frame: &Found) -> (usize, usize) {
-    let format = ["fits", "fit", "fts", "tif", "tiff", "png", "npy"];
+    let format = ["fits", "fit", "fts", "tif", "tiff", "png", "bmp", "npy"];
     let place = format.iter().position(|f| *f == extension(&frame.path)).unwrap_or(format.len());
     (usize::MAX - frame.facts.from.len() - usize::from(frame.facts.time_s.is_some()), place)
 }

@@ -147,7 +147,7 @@ fn found(arguments: &Arguments, go_on: &impl Fn() -> bool) -> Result<Map> {
     listing.notes.iter().for_each(|note| tracing::warn!("{note}"));
     if listing.files.is_empty() {
         bail!(
-            "no image files there: radcam reads TIFF, PNG, FITS, HDF5 (.h5, .hdf5, .nxs) and NumPy arrays (.npy)"
+            "no image files there: radcam reads TIFF, PNG, BMP, FITS, HDF5 (.h5, .hdf5, .nxs) and NumPy arrays (.npy)"
         );
     }
     let options = ReadOptions {

@@ -213,11 +213,15 @@ pub(crate) fn memory_in_words(share: f64) -> Option<String> {
 
 /// Formats a note on masked pixels.
 fn masked(measured: &Measured) -> Option<String> {
-    let level = &measured.levels.first()?.3;
+    // A set of one frame has no pixels with a variance.
+    let level = measured.levels.iter().map(|l| &l.3).max_by_key(|l| l.pixels)?;
     let n = level.masked;
     let share = crate::number::percent(n as f64 / (n + level.pixels) as f64);
+    let (pixels, are) = if n == 1 { ("pixel", "is") } else { ("pixels", "are") };
     (n > 0).then(|| {
-        format!("{n} pixels ({share}) are hot, blind, clipped, jumping or interpolated, and are left out")
+        format!(
+            "{n} {pixels} ({share}) {are} hot, blind, clipped, jumping or interpolated, and {are} left out"
+        )
     })
 }
 

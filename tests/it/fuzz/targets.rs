@@ -17,6 +17,7 @@ pub type Target = (&'static str, fn(&[u8]));
 
 /// Every target.
 pub const TARGETS: &[Target] = &[
+    ("bmp", |b| picture(&file("bmp", b))),
     ("calibration", |b| drop(Calibration::read(&file("tiff", b)))),
     ("descriptor", |b| drop(Dataset::open(&file("txt", b)))),
     ("fits", |b| picture(&file("fits", b))),

@@ -1,7 +1,9 @@
-//! Grey images: reads TIFF (any page), PNG, FITS and HDF5; writes TIFF of 8 or 16 bits.
+//! Grey images: reads TIFF (any page), PNG, BMP, FITS and HDF5; writes TIFF of 8 or 16 bits.
 
+pub(crate) mod bmp_file;
 mod fits;
 mod fits_tiles;
+mod grey;
 #[cfg(feature = "hdf5")]
 mod hdf5;
 pub(crate) mod png_file;
@@ -27,6 +29,9 @@ pub enum ImageError {
     /// Damaged PNG.
     #[error("not a sound PNG: {0}")]
     Png(#[from] png::DecodingError),
+    /// Damaged BMP, or a kind of it that is not read.
+    #[error("not a BMP that radcam reads: {0}")]
+    Bmp(String),
     /// Damaged FITS.
     #[error("not a sound FITS: {0}")]
     Fits(String),
@@ -34,7 +39,9 @@ pub enum ImageError {
     #[error("not a sound HDF5 (NeXus): {0}")]
     Hdf5(String),
     /// Valid, but not a grey image of unsigned 8 or 16 bits.
-    #[error("is {0}; frames are grey, with 8 or 16 unsigned bits")]
+    #[error(
+        "is {0}; frames are grey, with 8 or 16 unsigned bits: of a colour camera its raw pixels (BayerRG8, not RGB8)"
+    )]
     NotGrey(String),
     /// Frames that cannot be identified, or a format that radcam does not read; with advice.
     #[error("is {0}")]
@@ -58,7 +65,7 @@ pub(crate) const JPEG: &[u8] = b"\xff\xd8\xff";
 pub(crate) const NUMPY: &[u8] = b"\x93NUMPY";
 /// Reason that a NumPy array is refused.
 const NO_NUMPY: &str =
-    "a NumPy array, which `radcam import` takes; other verbs take frames as TIFF, PNG, FITS or HDF5";
+    "a NumPy array, which `radcam import` takes; other verbs take frames as TIFF, PNG, BMP, FITS or HDF5";
 /// Reason that a JPEG is refused.
 pub(crate) const NO_JPEG: &str = "a JPEG, whose codes are not those of the camera";
 
@@ -124,7 +131,7 @@ pub(crate) fn tiff_words(error: &tiff::TiffError) -> String {
             "cut short: the file ends before its pixels do".into()
         }
         tiff::TiffError::FormatError(tiff::TiffFormatError::TiffSignatureNotFound) => {
-            "radcam reads TIFF, PNG, FITS, HDF5 and NumPy arrays, and it begins like none of them".into()
+            "radcam reads TIFF, PNG, BMP, FITS, HDF5 and NumPy arrays, and it begins like none of them".into()
         }
         other => other.to_string(),
     }
@@ -287,6 +294,7 @@ pub struct Images {
 enum Container {
     Tiff(tiff_file::Directories),
     Png,
+    Bmp,
     Fits(fits::Fits),
     #[cfg(feature = "hdf5")]
     Hdf5(Arc<hdf5::Hdf5>),
@@ -320,6 +328,8 @@ impl Images {
             open_hdf5(path, dataset, axis)?
         } else if start.starts_with(b"\x89PNG") {
             Container::Png
+        } else if start.starts_with(bmp_file::BMP) {
+            Container::Bmp
         } else if begins_as_fits(start) {
             Container::Fits(fits::Fits::open(path)?)
         } else {
@@ -332,7 +342,7 @@ impl Images {
     pub fn frames(&self) -> Vec<usize> {
         match &self.kind {
             Container::Tiff(directories) => directories.frames(),
-            Container::Png => vec![0],
+            Container::Png | Container::Bmp => vec![0],
             Container::Fits(fits) => (0..fits.pages()).collect(),
             #[cfg(feature = "hdf5")]
             Container::Hdf5(file) => (0..file.pages()).collect(),
@@ -366,12 +376,14 @@ impl Images {
         matches!(&self.kind, Container::Fits(fits) if fits.pages() > 1)
     }
 
-    /// Returns true if every dataset reader can read the file: TIFF, PNG, and FITS with a primary image
+    /// Returns true if every dataset reader can read the file: TIFF, grey PNG, and FITS with a primary image
     /// of one frame.
     pub(crate) fn is_plain(&self) -> bool {
         match &self.kind {
             Container::Tiff(directories) => directories.is_plain(),
-            Container::Png => true,
+            // The colour type of the IHDR chunk (PNG specification, 11.2.2): 0 is grey.
+            Container::Png => input::start(&self.path, 26).is_ok_and(|start| start.get(25) == Some(&0)),
+            Container::Bmp => false,
             Container::Fits(fits) => fits.is_plain(),
             #[cfg(feature = "hdf5")]
             Container::Hdf5(_) => false,
@@ -394,6 +406,7 @@ impl Images {
                 // The bit depth of the IHDR chunk (PNG specification, 11.2.2).
                 Ok(input::start(&self.path, 26)?.get(24).copied().unwrap_or(8).max(8))
             }
+            Container::Bmp => Ok(8),
             Container::Fits(fits) => Ok(fits.bits()),
             #[cfg(feature = "hdf5")]
             Container::Hdf5(file) => Ok(file.bits()),
@@ -447,6 +460,10 @@ impl Images {
             Container::Png => {
                 first_page_only(page)?;
                 png_file::read(&self.path, buffer).map(|()| None)
+            }
+            Container::Bmp => {
+                first_page_only(page)?;
+                bmp_file::read(&self.path, buffer).map(|()| None)
             }
             Container::Fits(fits) => fits.values(page).map(Some),
             #[cfg(feature = "hdf5")]
@@ -723,8 +740,8 @@ mod tests {
         }
 
         #[test]
-        fn no_bytes_make_the_readers_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), kind in 0usize..4) {
-            let start: &[u8] = [&b"SIMPLE  "[..], b"\x89PNG\r\n\x1a\n", b"II*\0", b""][kind];
+        fn no_bytes_make_the_readers_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), kind in 0usize..5) {
+            let start: &[u8] = [&b"SIMPLE  "[..], b"\x89PNG\r\n\x1a\n", b"II*\0", b"BM", b""][kind];
             let dir = tempfile::tempdir().unwrap();
             let path = dir.path().join("x");
             std::fs::write(&path, [start, &bytes].concat()).unwrap();

@@ -1,9 +1,9 @@
-//! PNG reader: grey frames of 8 or 16 bits, row by row. Colour profiles and texts are skipped, not
-//! decompressed.
+//! PNG reader: grey frames of 8 or 16 bits, also in colours that are equal, row by row. Colour profiles and
+//! texts are skipped, not decompressed.
 
-use super::{Buffer, ImageError, is_packed_too_much, too_much};
+use super::{Buffer, ImageError, grey, is_packed_too_much, too_much};
 use crate::input;
-use png::{BitDepth, ColorType, Decoder, Transformations};
+use png::{BitDepth, Decoder, Transformations};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
@@ -25,9 +25,8 @@ pub(super) fn read(path: &Path, buffer: &mut Buffer) -> Result<(), ImageError> {
     let mut reader = decoder.read_info()?;
     let (colour, depth) = reader.output_color_type();
     let bits = if depth == BitDepth::Sixteen { 16 } else { 8 };
-    if colour != ColorType::Grayscale {
-        return Err(ImageError::NotGrey(format!("a PNG of {colour:?}, {bits} bits each")));
-    }
+    let channels = colour.samples();
+    let in_colours = || ImageError::NotGrey(format!("a PNG of {colour:?}, {bits} bits each"));
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
     // Codes take 16 bits in memory.
     if is_packed_too_much(width as u64, height as u64, 2, size) {
@@ -38,24 +37,19 @@ pub(super) fn read(path: &Path, buffer: &mut Buffer) -> Result<(), ImageError> {
     if reader.info().interlaced {
         buffer.bytes.resize(row_bytes.saturating_mul(height), 0);
         reader.next_frame(&mut buffer.bytes)?;
-        put(&buffer.bytes, bits, &mut buffer.dn);
+        if !grey::put(&buffer.bytes, channels, bits, &mut buffer.dn) {
+            return Err(in_colours());
+        }
     } else {
         // Memory grows with the rows read, not with the height claimed by the header.
         buffer.bytes.resize(row_bytes, 0);
         for _ in 0..height {
             reader.read_row(&mut buffer.bytes)?;
-            put(&buffer.bytes, bits, &mut buffer.dn);
+            if !grey::put(&buffer.bytes, channels, bits, &mut buffer.dn) {
+                return Err(in_colours());
+            }
         }
     }
     buffer.shape = (height, width);
     Ok(())
-}
-
-/// Appends codes; those of 16 bits are big-endian.
-fn put(bytes: &[u8], bits: u64, dn: &mut Vec<u16>) {
-    if bits == 16 {
-        dn.extend(bytes.as_chunks::<2>().0.iter().map(|b| u16::from_be_bytes(*b)));
-    } else {
-        dn.extend(bytes.iter().map(|b| u16::from(*b)));
-    }
 }
