@@ -1,4 +1,4 @@
-//! BMP reader: grey frames of 8 bits, with a palette or in colours that are equal.
+//! BMP reader: grey frames of 8 bits, with a palette of all greys or in colours that are equal.
 
 use super::{Buffer, ImageError, grey, is_packed_too_much, too_much};
 use crate::input;
@@ -15,6 +15,17 @@ pub(super) fn read(path: &Path, buffer: &mut Buffer) -> Result<(), ImageError> {
     let fault = |e: image::ImageError| ImageError::Bmp(e.to_string());
     let size = std::fs::metadata(path)?.len();
     let decoder = BmpDecoder::new(BufReader::with_capacity(1 << 16, input::open(path)?)).map_err(fault)?;
+    let bits = bits(path)?;
+    let is_ramp = |palette: &[[u8; 3]]| (0..=u8::MAX).zip(palette).all(|(k, grey)| *grey == [k; 3]);
+    match (bits, decoder.get_palette()) {
+        (8, Some(palette)) if !is_ramp(palette) => {
+            let why =
+                "a BMP with a palette, and the camera's code may be its index or its grey; save without one";
+            return Err(ImageError::NotGrey(why.into()));
+        }
+        (8 | 24 | 32, _) => (),
+        _ => return Err(ImageError::NotGrey(format!("a BMP of {bits} bits"))),
+    }
     let (width, height) = decoder.dimensions();
     let (width, height) = (width as usize, height as usize);
     let channels = usize::from(decoder.color_type().channel_count());
@@ -30,4 +41,11 @@ pub(super) fn read(path: &Path, buffer: &mut Buffer) -> Result<(), ImageError> {
     }
     buffer.shape = (height, width);
     Ok(())
+}
+
+/// Returns the bits of a pixel (biBitCount; in a header of 12 bytes bcBitCount).
+fn bits(path: &Path) -> std::io::Result<u16> {
+    let start = input::start(path, 30)?;
+    let of = |at: usize| start.get(at..at + 2).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
+    Ok(of(if of(14) == 12 { 24 } else { 28 }))
 }

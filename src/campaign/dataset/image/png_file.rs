@@ -3,7 +3,7 @@
 
 use super::{Buffer, ImageError, grey, is_packed_too_much, too_much};
 use crate::input;
-use png::{BitDepth, Decoder, Transformations};
+use png::{BitDepth, ColorType, Decoder, Transformations};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
@@ -25,6 +25,9 @@ pub(super) fn read(path: &Path, buffer: &mut Buffer) -> Result<(), ImageError> {
     let mut reader = decoder.read_info()?;
     let (colour, depth) = reader.output_color_type();
     let bits = if depth == BitDepth::Sixteen { 16 } else { 8 };
+    if reader.info().color_type == ColorType::Indexed {
+        return Err(ImageError::NotGrey("a PNG with a palette".into()));
+    }
     let channels = colour.samples();
     let in_colours = || ImageError::NotGrey(format!("a PNG of {colour:?}, {bits} bits each"));
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
