@@ -104,6 +104,24 @@ fn a_lamp_off_by_more_than_is_stated_bends_no_response() {
     assert!((gain.value - model.base.gain_dn_per_e).abs() < 4.0 * gain.std_err, "{gain}");
 }
 
+/// A black level that scatters from frame to frame, under a lamp whose settings scatter as is stated: flats
+/// that lie off by their light do not make it a level that moves from set to set.
+#[test]
+fn a_lamp_that_scatters_as_stated_hides_no_offset_noise() {
+    for seed in 381..385 {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("c");
+        let lights: Vec<u32> = (1..=12).chain((1..=12).rev()).collect();
+        let model = with(unit(seed), "illumination-setting", &[0.0016]);
+        sweep_of_lights(&lights, true, with(model, "offset-noise", &[0.5]), &root);
+        let d = diagnose(&observe(&root), None, Vec::new(), &mut |_| {});
+        let first = &d.missing[0];
+        assert_eq!(first.effect, "offset-noise", "{seed}: {:?}", d.missing);
+        let q = &first.parameters["dn"];
+        assert!((q.value - 0.5).abs() < 4.0 * q.std_err, "{seed}: {q}");
+    }
+}
+
 /// One light of thirteen comes back, to another light: a drift or a setting, a tie. The scatter of
 /// settings has one degree of freedom, whether the pair differs by many errors or by few.
 #[test]

@@ -99,7 +99,7 @@ impl Effect for Companding {
 
     fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
         let full = seen.full_scale_dn;
-        // From more codes than there are to sixteen bits sent in eight.
+        // Number of codes sent over full scale: 0.0039 is eight bits for sixteen.
         let mut all: Vec<Vec<f64>> = [1.8, 1.4, 1.0, 0.5, 0.25, 0.125, 0.0625, 0.031, 0.0156, 0.0078, 0.0039]
             .map(|part| vec![0.0, part * full, 0.3 * full, 4.0])
             .to_vec();

@@ -124,6 +124,11 @@ pub fn choices(effect: &dyn Effect, values: &[f64]) -> Vec<u64> {
     of.map(|(_, v)| v.to_bits()).collect()
 }
 
+/// Counts the parameters that an effect uses at these values.
+pub fn used(effect: &dyn Effect, values: &[f64]) -> usize {
+    (0..values.len()).filter(|k| effect.uses(values, *k)).count()
+}
+
 /// Search for additions to a model.
 struct Look<'a> {
     all: &'a Observations,
@@ -632,11 +637,8 @@ fn with_best_forms(
         let look = Look { all, now: &rest, guess: None, most: 1, not: &not, against, memo };
         let Some(other) = look.candidates().into_iter().next() else { continue };
         // A simpler form need not pay for itself.
-        let used = |model: &Fitted, at: usize| {
-            let (effect, values) = &model.effects[at];
-            (0..values.len()).filter(|k| effect.uses(values, *k)).count()
-        };
-        let is_simpler = used(&other.fitted, other.fitted.effects.len() - 1) < used(&model, at);
+        let now = used(effect, &model.effects[at].1);
+        let is_simpler = other.fitted.effects.last().is_some_and(|(e, values)| used(*e, values) < now);
         if other.evidence > against + if is_simpler { 0.0 } else { NEEDED } {
             tracing::debug!(
                 "{} in another form: evidence {:.1}, was {against:.1}",

@@ -1,7 +1,7 @@
 //! Fits of a model with one more effect, from several starts.
 
 use super::memo::Memo;
-use super::search::{choices, score};
+use super::search::{choices, score, used};
 use crate::inference::{Effects, Fitted, Scored, Screen, as_given, fit_briefly};
 use crate::observables::Observations;
 use radcam_sim::effects::{self, Effect};
@@ -88,11 +88,9 @@ impl Starts {
         let more: Vec<&Vec<f64>> = scored.take((most + 1).saturating_sub(picked.len()).max(1)).collect();
         // The form with the fewest parameters is always tried: where many frequencies promise as much, none
         // of them may be needed.
-        let used =
-            |values: &Vec<f64>| (0..effect.parameters().len()).filter(|k| effect.uses(values, *k)).count();
         let of_the_forms =
             |values: &&Vec<f64>| picked.iter().any(|p| choices(effect, p) == choices(effect, values));
-        let simplest = self.values().filter(of_the_forms).min_by_key(|values| used(values));
+        let simplest = self.values().filter(of_the_forms).min_by_key(|values| used(effect, values));
         for values in more.into_iter().chain(simplest).chain(&self.unscaled) {
             if !picked.iter().any(|p| is_near(effect, p, values)) {
                 picked.push(values);

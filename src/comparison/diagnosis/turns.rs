@@ -6,7 +6,7 @@ use crate::dataset::Kind;
 use crate::inference::{Fitted, residuals_of};
 use crate::observables::{Observations, Statistic, mean};
 use radcam_sim::rng::{PixelRng, Stream};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 
 /// Frequencies of the sines that are fitted, cycles per 32 frames.
@@ -170,13 +170,12 @@ const MOST_SCATTER: f64 = 0.3;
 /// settings of the light scatter by more than the means are known tell of the light and not of the effect.
 fn alike(all: &Observations, whole: &Fitted) -> f64 {
     let scatter_rel = whole.base.setting_rel.unwrap_or(0.0);
+    let sets = all.kinds.iter().zip(&all.set_numbers);
+    let darks: BTreeSet<u32> = sets.filter(|(kind, _)| **kind == Kind::Dark).map(|(_, set)| *set).collect();
     let mut of_set: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
     for r in residuals_of(all, whole).iter().filter(|r| r.statistic == mean::Mean.id()) {
-        let is_dark = |set: u32| {
-            all.set_numbers.iter().position(|n| *n == set).is_some_and(|s| all.kinds[s] == Kind::Dark)
-        };
         let is_known = scatter_rel * r.level_dn < MOST_SCATTER * r.std_err;
-        if let Some(set) = r.set.filter(|set| is_known || is_dark(*set)) {
+        if let Some(set) = r.set.filter(|set| is_known || darks.contains(set)) {
             of_set.entry(set).or_default().push((r.measured - r.predicted) / r.std_err);
         }
     }
