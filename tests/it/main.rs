@@ -48,6 +48,7 @@ mod mosaics;
 mod near_slips;
 #[cfg(feature = "aravis")]
 mod network;
+mod no_slips;
 mod noise;
 #[cfg(feature = "aravis")]
 mod outages;

@@ -390,8 +390,8 @@ fn corrected_frames_are_served_again() {
                 line.rsplit(' ').next().unwrap().parse::<u64>().unwrap()
             };
             println!("{text}");
-            // Underruns may be packets of the other camera: the tool's packet socket sees them until its filter
-            // is set. Underruns of this camera leave a gap in the numbers of its frames.
+            // Underruns may be packets of the other camera: the tool's packet socket sees them until its
+            // filter is set. Underruns of this camera leave a gap in the numbers of its frames.
             count("n_completed_buffers") > 50 && ["n_failures", "n_missing_frames"].map(count) == [0, 0]
         };
         assert!((0..3).any(|_| whole()));

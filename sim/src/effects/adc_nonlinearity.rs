@@ -244,6 +244,10 @@ impl Effect for AdcNonlinearity {
             .to_vec()
     }
 
+    fn adds_scatter(&self) -> bool {
+        false
+    }
+
     fn example(&self, _: &Plain) -> Option<Vec<f64>> {
         Some(vec![0.0, 0.05, 0.0, 0.1, 0.0, -0.1, 0.0, 0.3, 0.0, -0.4, 0.0, 0.35, 0.0])
     }

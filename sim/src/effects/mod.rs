@@ -555,6 +555,10 @@ pub trait Effect: Sync + Send {
     fn bends_means(&self) -> bool {
         false
     }
+    /// Returns true if the effect adds scatter, which makes standard errors larger.
+    fn adds_scatter(&self) -> bool {
+        !self.bends_means()
+    }
     /// Returns the statistic that is the effect's scatter itself. The effect is excluded if less is measured
     /// than it would cause, though its scatter may excuse other deviations.
     fn shown_by(&self) -> Option<&'static str> {

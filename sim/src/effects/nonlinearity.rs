@@ -84,6 +84,9 @@ const FILLS: f64 = 0.75;
 /// Shape with a table of whole codes.
 const WHOLE_CODE: i32 = 9;
 
+/// Slope of a table below which darks of a few codes share its rounding error (a named choice: beyond, the
+/// noise of darks skips codes).
+const MAX_SLOPE: f64 = 2.0;
 /// Standard deviation of the rounding error, in codes: root 1/12.
 const ROUNDED: f64 = 0.29;
 
@@ -98,6 +101,7 @@ fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
     let before = full * libm::pow(black / full, 1.0 / g);
     // The spacing of the table's codes equals its slope: above 1, some codes do not occur.
     let slope = |level: f64| g * libm::pow((level.max(1.0)) / full, g - 1.0);
+    let darkest = out.sets.iter().map(|s| s.signal).fold(f64::INFINITY, f64::min);
     for (i, s) in out.sets.iter_mut().enumerate() {
         let spread = c.sets.get(i).map_or(0.0, |s| s.spread_dn);
         let places = c.sets.get(i).map_or(crate::predict::NORMAL, |s| s.places);
@@ -112,11 +116,26 @@ fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
         let (turn, variance) = (here - 1.0, s.covariance(0, 0));
         let square = 2.0 * std::f64::consts::PI * std::f64::consts::PI;
         let left = libm::exp(-square * turn * turn * (variance + spread * spread));
-        s.unsure_mean = libm::hypot(s.unsure_mean, ROUNDED * left);
-        s.unsure_own = libm::hypot(s.unsure_own, 0.5 * ROUNDED * left);
+        // Black level and read noise are fitted to darks with the same rounding: sets within a part of a
+        // cycle from the darkest share its error.
+        let is_dense = here < MAX_SLOPE;
+        let cycles = |per_code: f64| {
+            let apart = std::f64::consts::TAU * per_code * (s.signal - darkest);
+            if is_dense { apart.min(1.0) } else { 1.0 }
+        };
+        let (of_table, of_codes) = (ROUNDED * left * cycles(turn.abs()), quantised_mean(variance) * cycles(1.0));
+        s.unsure_mean = libm::hypot(s.unsure_mean, of_table);
+        // The error rises or falls with the code: its covariance with the noise is the variance times its
+        // mean slope (Stein 1981, lemma 1).
+        let slope_of_error = std::f64::consts::TAU * turn.abs() * ROUNDED * left;
+        let of_noise = if is_dense { 2.0 * slope_of_error * (variance + ROUNDED * ROUNDED) / here } else { 0.5 * of_table };
+        s.unsure_own = libm::hypot(s.unsure_own, of_noise * cycles(turn.abs()));
+        if is_dense && s.signal <= darkest {
+            out.unsure_dark_dn2 = libm::hypot(out.unsure_dark_dn2, of_noise);
+        }
         if here > 1.0 {
-            s.unsure_own = libm::hypot(s.unsure_own, 0.5 * quantised_mean(variance));
-            s.unsure_mean = libm::hypot(s.unsure_mean, quantised_mean(variance));
+            s.unsure_own = libm::hypot(s.unsure_own, 0.5 * of_codes);
+            s.unsure_mean = libm::hypot(s.unsure_mean, of_codes);
         }
     }
     out.bend(c, |v| full * libm::pow(((v + before) / full).max(0.0), g) - black);

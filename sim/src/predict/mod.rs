@@ -76,6 +76,9 @@ pub struct Prediction {
     pub code_zero_dn: f64,
     /// True if firmware has rounded to whole codes already.
     pub whole: bool,
+    /// Standard error of the variance of the darkest sets that all of them share, beyond those of the sets,
+    /// DN^2 before any table.
+    pub unsure_dark_dn2: f64,
     /// Lowest possible level, DN above the black level.
     pub floor_dn: f64,
     /// True if noise is cut below code 0.
@@ -156,6 +159,7 @@ impl Prediction {
             code_step_dn: 1.0,
             code_zero_dn: 0.0,
             whole: false,
+            unsure_dark_dn2: 0.0,
             floor_dn: f64::NEG_INFINITY,
             cut_at_0: base.cut_at_0,
             taps: [(0.0, 0.0); 4],

@@ -29,6 +29,10 @@ const MIN_AVERAGED_DARKS: usize = 2;
 /// Maximum relative difference of two equal gains from the dark charge (a named choice).
 const SAME_GAIN: f64 = 0.25;
 
+/// Maximum relative bend of the photon transfer at the highest level for all flats to predict the noise of
+/// darks (a named choice: brighter-fatter and full wells bend by less; gamma 0.85 by a quarter).
+const MAX_BEND_TO_BLACK: f64 = 0.1;
+
 /// Check for averages of one kind.
 pub struct AveragesOfOneKind;
 
@@ -51,6 +55,14 @@ impl Kinds {
     fn of(campaign: &Campaign<'_>, darks: &[usize]) -> Option<Self> {
         let zero = campaign.zero()?;
         let transfer = Transfer::by_pixels(campaign, &zero, darks)?;
+        // A response that bends (gamma, a knee) bends the curve more than it can follow: the darkest flats
+        // alone then tell what is left for the darks, unless they lie on a bend too.
+        let bends = |transfer: &Transfer| transfer.bend().abs() > MAX_BEND_TO_BLACK;
+        let transfer = if bends(&transfer) {
+            Transfer::by_pixels(campaign, &zero, &all_but_the_darkest_flats(campaign)).filter(|t| !bends(t))?
+        } else {
+            transfer
+        };
         let left = |i: &usize| {
             let own_dn2 = campaign.sets[*i].variance_dn2().map_or(0.0, |v| v.0);
             (own_dn2, transfer.expected_dn2(above(campaign, &zero, *i)))
@@ -136,6 +148,15 @@ impl Kinds {
             if darks_have_more { off > -MIN_SIGMAS_BESIDE } else { off < MIN_SIGMAS_BESIDE }
         })
     }
+}
+
+/// Returns all sets but the darkest flats, of which a curve can be fitted.
+fn all_but_the_darkest_flats(campaign: &Campaign<'_>) -> Vec<usize> {
+    let mut flats = campaign.places(|s| s.is_lit() && !s.clipped && !s.is_cut_off() && s.variance_dn2().is_some());
+    let level = |i: usize| campaign.sets[i].level_dn();
+    flats.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
+    flats.truncate(MIN_FLATS.max(flats.len() / 3));
+    (0..campaign.sets.len()).filter(|i| !flats.contains(i)).collect()
 }
 
 /// Returns the darks with less noise than flats and other darks leave for their level; none if they are all

@@ -29,6 +29,9 @@ const MIN_CHANGES: (usize, usize) = (3, 8);
 /// Minimum level change that determines a carry-over, standard deviations of a frame's mean (a named
 /// choice).
 const MIN_SIGMAS_OF_A_CHANGE: f64 = 20.0;
+/// Minimum deviation of a first frame that shows carry-over by itself, standard deviations of its mean (a
+/// named choice).
+const MIN_SIGMAS_OF_A_FIRST: f64 = 8.0;
 /// Minimum level change relative to the largest: small ones are uninformative.
 const MIN_CHANGE: f64 = 0.3;
 /// Range of carry-over into first frames, by lag or a filter, that matters to levels.
@@ -311,11 +314,23 @@ impl<'a> Campaign<'a> {
     }
 
     /// Returns the usual carry-over of a level change into first frames; `None` with fewer than three
-    /// changes.
+    /// changes that are large beside the largest, if the others do not agree on it within their noise.
     pub fn carried(&self, scatter: &Scatter) -> Option<f64> {
         let changes = self.large_changes(scatter).into_iter().map(|(_, change)| change).collect();
         let shares = shares(changes);
-        (shares.len() >= MIN_CHANGES.0).then(|| median(shares.into_iter()))
+        if shares.len() >= MIN_CHANGES.0 {
+            return Some(median(shares.into_iter()));
+        }
+        self.usual_share()
+    }
+
+    /// Returns the part of the level change to a set that is in its first frame, if the change is large
+    /// beside the noise.
+    pub fn share_of_change(&self, set: usize) -> Option<f64> {
+        let (change, first) = self.change_at(set)?;
+        let noise_dn = self.sets[set].first_frame_error_dn()?;
+        (change.abs() > MIN_SIGMAS_OF_A_CHANGE * noise_dn && first.abs() > MIN_SIGMAS_OF_A_FIRST * noise_dn)
+            .then(|| first / change)
     }
 
     /// Returns the sets after a level change that is large beside the scatter of frames, and the part of

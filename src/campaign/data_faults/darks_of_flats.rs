@@ -68,6 +68,9 @@ const MAX_LOST_BITS: u32 = 8;
 /// Minimum ratio of the noise of the darks to that of the flats at zero light that shows another gain (a
 /// named choice).
 const MIN_VARIANCE_RATIO: f64 = 1.6;
+/// Maximum relative difference between what darks have more than the flats leave and their growth with the
+/// exposure (a named choice).
+const SAME_LIGHT: f64 = 0.1;
 /// Minimum difference of the black levels that is reported, DN.
 const MIN_BLACK_DN: f64 = 2.0;
 
@@ -256,6 +259,49 @@ fn of_pattern(
     })
 }
 
+/// Returns the verdict that the darks have light: at the exposure of the flats they are brighter than the
+/// flats leave at zero light by all that they grow with the exposure, and their noise is that of as much
+/// light. Charge that the sensor collects in darkness is in the flats too.
+fn of_lit_darks(
+    campaign: &Campaign<'_>,
+    darks: &[usize],
+    zero: &Zero,
+    response: &Response,
+    transfer: &Transfer,
+) -> Option<String> {
+    let (black_dn, std) = response.black_dn;
+    let exposures = |sets: &[usize]| -> Vec<f64> { sets.iter().map(|&i| campaign.sets[i].exposure_s).collect() };
+    let of_flats = median(exposures(&campaign.places(|s| s.is_lit())).into_iter());
+    let like_flats = |i: &&usize| (campaign.sets[**i].exposure_s / of_flats - 1.0).abs() < SAME_EXPOSURE;
+    let beside: Vec<usize> = darks.iter().filter(like_flats).copied().collect();
+    let of_darks = exposures(darks);
+    let longest = of_darks.iter().copied().fold(0.0, f64::max);
+    let shortest = of_darks.iter().copied().fold(f64::INFINITY, f64::min);
+    let grown_dn = zero.dn_per_s * of_flats;
+    let is_all = (black_dn + grown_dn).abs() < SAME_LIGHT * grown_dn + BLACK.1 * std;
+    if beside.is_empty() || longest < MIN_EXPOSURE_RATIO * shortest || black_dn > 0.0 || !is_all {
+        return None;
+    }
+    let has_its_noise = |&i: &usize| {
+        let (var_dn2, pairs) = campaign.sets[i].variance_dn2()?;
+        let own = var_dn2 * (3.0 / (campaign.sets[i].facts.pixels * pairs)).sqrt().hypot(MODEL_ERROR);
+        let off = |above_dn: f64| {
+            let (expected, std) = transfer.expected_dn2(above_dn);
+            (var_dn2 - expected).abs() / std.hypot(own)
+        };
+        let above_dn = campaign.sets[i].level_dn() - zero.dn;
+        Some(off(above_dn) < BLACK.1 && off(above_dn - grown_dn) > BLACK.0)
+    };
+    beside.iter().all(|i| has_its_noise(i) == Some(true)).then(|| {
+        format!(
+            "light falls on them: in {} s they have {} DN and its noise more than the flats leave at zero light, and they grow by as much with \
+             the exposure, which is no dark current",
+            six_digits(of_flats),
+            six_digits((10.0 * grown_dn).round() / 10.0)
+        )
+    })
+}
+
 /// Returns the weights that interpolate the dark pattern to an exposure; `None` if the darks do not
 /// determine it.
 fn at_exposure(campaign: &Campaign<'_>, darks: &[usize], exposure_s: f64) -> Option<Vec<f64>> {
@@ -301,6 +347,9 @@ fn of_black_level(
     tracing::debug!(
         "flats meet no light at {black_dn:.3} +- {std:.3} DN; the darks' noise is off by {at_black:.1} sigma there, by {at_dark:.1} at the darks' level"
     );
+    if let Some(text) = of_lit_darks(campaign, darks, zero, response, &transfer) {
+        return Some(Verdict::new(text));
+    }
     let zero_dn = zero.at(campaign.sets[shortest].exposure_s);
     let of_flats_dn = zero_dn + black_dn;
     let is_known = std < MAX_REL_ERROR_AT_ZERO * zero_dn.max(of_flats_dn);

@@ -24,6 +24,9 @@ const MIN_FLATS: usize = 4;
 const MIN_FRAMES: usize = 3;
 /// Minimum fraction of a level change in a first frame exposed under the previous settings.
 const MIN_SHARE_OF_CHANGE: f64 = 0.25;
+/// Maximum relative difference of the fraction of a level change in a dark after light from that in the
+/// flats.
+const MAX_REL_OF_DARK: f64 = 0.3;
 
 /// Check for dim first frames.
 pub struct DimFirsts;
@@ -74,7 +77,7 @@ impl Check for DimFirsts {
         if firsts.len() < MIN_FLATS
             || share.abs() < MIN_SHARE
             || (agreeing.len() as f64) < MIN_AGREEING * firsts.len() as f64
-            || are_of_changes(&agreeing)
+            || are_of_changes(campaign, &agreeing)
             || !lack_lag(campaign, &agreeing, share)
         {
             return Vec::new();
@@ -97,13 +100,20 @@ impl Check for DimFirsts {
     }
 }
 
-/// Returns true if the first frames also deviate by one large fraction of the level changes, as in
-/// sweeps whose levels grow by one factor.
-fn are_of_changes(firsts: &[&First]) -> bool {
+/// Returns true if the first frames also deviate by one fraction of the level changes, as in sweeps whose
+/// levels grow by one factor, and that is a large one, or a dark after light has it too: no lamp starts
+/// bright in darkness.
+fn are_of_changes(campaign: &Campaign<'_>, firsts: &[&First]) -> bool {
     let of: Vec<f64> = firsts.iter().filter_map(|f| f.of_change).collect();
     let share = median(of.iter().copied());
     let agree = of.iter().filter(|s| (*s - share).abs() < MAX_REL_OF_SHARES * share.abs()).count();
-    2 * agree > of.len() && share > MIN_SHARE_OF_CHANGE
+    let in_dark = |&set: &usize| {
+        let of_change = campaign.share_of_change(set)?;
+        Some((of_change - share).abs() < MAX_REL_OF_DARK * share)
+    };
+    let after_light = campaign.places(|s| !s.is_lit() && s.frames() >= MIN_FRAMES);
+    let is_in_darks = || after_light.iter().filter_map(in_dark).any(|is_alike| is_alike);
+    2 * agree > of.len() && (share > MIN_SHARE_OF_CHANGE || share > 0.0 && is_in_darks())
 }
 
 /// Returns true if the combined noise of all flats contradicts lag of this fraction after darkness.

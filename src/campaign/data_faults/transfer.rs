@@ -111,6 +111,11 @@ impl Transfer {
         Some(Self { law, most, model_error, strays, quiet })
     }
 
+    /// Returns the bend: the curve's deviation from its line at the highest level, relative to that line.
+    pub fn bend(&self) -> f64 {
+        self.law.at(&[0.0, 0.0, 1.0]) / self.law.at(&[0.0, 1.0, 0.0])
+    }
+
     /// Returns the slope at the lowest levels: the system gain, DN/e.
     pub fn slope(&self) -> f64 {
         self.slope_with_error().0

@@ -270,9 +270,9 @@ impl Look<'_> {
     }
 
     /// Returns true for a candidate that only widens errors, which fits anything. No effect predicts profiles
-    /// of lines: a gain there comes from their errors. A bend of the response moves means: a gain by
-    /// residuals that are as large as before and count less comes from the rounding of its table. Scatter
-    /// rightly widens errors.
+    /// of lines: a gain there comes from their errors. A bend of the response moves means and unequal codes
+    /// move shares of codes: a gain by residuals that are as large as before and count less comes from the
+    /// rounding of a table, or from tails of the noise. Scatter rightly widens errors.
     fn only_excuses(&self, c: &Candidate) -> bool {
         let (now, with) = (residuals_of(self.all, self.now), residuals_of(self.all, &c.fitted));
         let differ = |(a, b): (&Residual, &Residual)| a.set != b.set || a.statistic != b.statistic;
@@ -280,7 +280,7 @@ impl Look<'_> {
             return false;
         }
         let profiles = LineProfile.id();
-        let all = c.effect.bends_means();
+        let all = !c.effect.adds_scatter();
         let pairs = now.iter().zip(&with).filter(|(_, b)| all || b.statistic == profiles);
         let gained = pairs.filter(|(a, b)| b.std_err > WIDER * a.std_err).map(|(a, b)| {
             let ratio = b.std_err / a.std_err;

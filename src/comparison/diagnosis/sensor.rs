@@ -5,7 +5,7 @@ use crate::inference::Fitted;
 use crate::number::{Quantity, six_digits};
 use crate::observables::{Observations, expectations, variance};
 use radcam_sim::effects::{self, Effect};
-use radcam_sim::predict::BaseParameters;
+use radcam_sim::predict::{BaseParameters, Prediction};
 use serde::{Deserialize, Serialize};
 
 /// The linear sensor with all effects in the model; null where the campaign does not determine a value.
@@ -90,8 +90,12 @@ pub(super) fn sensor(
             dark_current_e_per_s: None,
         };
     }
+    // The darks' variance is twice the read noise times its error.
+    let shared = prediction(all, whole).unsure_dark_dn2
+        / (2.0 * base.gain_dn_per_e.powi(2) * base.read_noise_e).max(f64::MIN_POSITIVE);
+    let read_noise_std = errors[1].hypot(shared);
     let (mut rms_e, mut read_noise_e) =
-        (base.read_noise_e, of(base.read_noise_e, errors[1], apart(|b| b.read_noise_e), "e"));
+        (base.read_noise_e, of(base.read_noise_e, read_noise_std, apart(|b| b.read_noise_e), "e"));
     // Noise that neighbours share almost entirely leaves next to none to single pixels: all of it is the read
     // noise.
     if read_noise_e.is_none()
@@ -134,6 +138,13 @@ fn shared_rel(whole: &Fitted) -> Option<f64> {
     let place = whole.effects.iter().position(|(e, _)| e.id() == "read-noise-correlation")?;
     let (values, errors) = (&whole.effects[place].1, &whole.std_err[place]);
     Some(errors.get(1)? / values.get(1)?)
+}
+
+/// Returns what the model with its effects predicts.
+fn prediction(all: &Observations, whole: &Fitted) -> Prediction {
+    let list: Vec<(&dyn Effect, &[f64])> =
+        whole.effects.iter().map(|(e, p)| (*e as &dyn Effect, p.as_slice())).collect();
+    effects::predict(&all.campaign, &whole.base, &list)
 }
 
 /// Minimum relative difference from the read noise for the noise of darks to be reported.

@@ -10,7 +10,7 @@ use super::{
 use crate::data_faults::{ExamineError, examined};
 use crate::dataset::{Dataset, DatasetError, ElectronMultiplication, FrameRow, Kind, Set};
 use crate::first_look::lit_part;
-use crate::number::ranges;
+use crate::number::{percent, ranges};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::median;
@@ -161,6 +161,14 @@ pub fn of_dataset(
     let (mut infos, frames) = campaign(dataset, &settings);
     let mut missing = left_out;
     missing.extend(cut.as_ref().map(|(_, words)| words.clone()));
+    let masked = layout.mask.len() as f64 - layout.pixels;
+    if masked > MANY_MASKED * layout.mask.len() as f64 {
+        missing.push(format!(
+            "{masked} pixels ({}) are hot, blind, clipped, jumping or interpolated, and left out: gain and read noise are those of the others, and \
+             what these pixels do (telegraph noise, hot pixels) is not looked at",
+            percent(masked / layout.mask.len() as f64)
+        ));
+    }
     if !saturated.is_empty() {
         let mut numbers: Vec<usize> = saturated.iter().map(|s| sets[s.set].number as usize).collect();
         numbers.sort_unstable();
@@ -391,6 +399,8 @@ pub fn of_dataset(
 /// Minimum level above the darks for a set that is left out to count as lit, DN (a named choice): less leaves
 /// nothing in the frames that follow.
 const LEAST_LIT_DN: f64 = 5.0;
+/// Minimum share of pixels left out that is said (a named choice: data sheets allow some 0.1 % of defects).
+const MANY_MASKED: f64 = 0.01;
 
 /// Returns the number of chunks at the level of every set.
 fn alike(chunks: &[Chunk], settings: &[FrameRow]) -> Vec<f64> {

@@ -38,6 +38,8 @@ pub struct Codes {
     counts: Vec<u64>,
     /// For each level and bit: mean excess of one kind of codes over the other, and its variance.
     levels: Vec<[(f64, f64); LOW_BITS]>,
+    /// Codes of these levels.
+    bit_codes: std::ops::Range<u32>,
     /// Number of codes from one transition to the next.
     grain: usize,
     transitions: Vec<Transition>,
@@ -45,6 +47,105 @@ pub struct Codes {
 
 /// Minimum noise variance of a level whose histogram is smooth over a few codes, DN^2.
 const WIDE_DN2: f64 = 36.0;
+
+/// Variance of rounding, DN^2 (Widrow and Kollar 2008, eq. 4.15: a twelfth of a squared step).
+const ROUNDING_DN2: f64 = 1.0 / 12.0;
+/// Minimum variance of the noise of a level that tells bits, DN^2. With less, even and odd codes differ in a
+/// histogram of equal codes: by 1e-4 at most here, see [`Comb`].
+const EVEN_DN2: f64 = 2.25;
+
+/// Minimum deviation of all samples of a level, relative to the period of a bit: with less, most
+/// samples may lie in one kind of codes (a named choice).
+const MIN_SPREAD: f64 = 0.25;
+
+/// A weight of codes that repeats every `period` codes: a code of one kind less the mean of its neighbours,
+/// and the same half a period later with the opposite sign. Over normal noise of deviation s its harmonic k
+/// shrinks to exp(-2 pi^2 k^2 s^2 / period^2) (characteristic function of the normal law; Widrow and Kollar
+/// 2008, ch. 4).
+struct Comb {
+    period: usize,
+}
+
+impl Comb {
+    /// Weights of one period, each kind of codes over its own sum.
+    fn weights(&self, above: f64, below: f64) -> Vec<f64> {
+        let m = self.period;
+        let mut out = vec![0.0; m];
+        for (r, by) in [(m / 2 - 1, 1.0 / above), (m - 1, -1.0 / below)] {
+            out[r] += by;
+            out[(r + m - 1) % m] -= 0.5 * by;
+            out[(r + 1) % m] -= 0.5 * by;
+        }
+        out
+    }
+
+    /// Amplitudes of the odd harmonics with what is left of them; even ones cancel.
+    fn harmonics(&self, noise_dn2: f64) -> impl Iterator<Item = f64> + '_ {
+        let m = self.period as f64;
+        (1..=self.period / 2).step_by(2).map(move |k| {
+            let turn = std::f64::consts::TAU * k as f64 / m;
+            // The last harmonic, half the period, has no sine beside its cosine.
+            let both = if 2 * k == self.period { 1.0 } else { 2.0 };
+            2.0 * both / m * (1.0 - turn.cos()) * (-0.5 * turn * turn * noise_dn2).exp()
+        })
+    }
+
+    /// Variance that single pixels add to the counts, over that of independent samples. Each stays at its
+    /// place between two codes in all frames.
+    fn of_places(&self, noise_dn2: f64, frames: f64) -> f64 {
+        let squares: f64 = self.harmonics(noise_dn2).map(|a| 0.5 * a * a).sum();
+        let own: f64 = self.weights(1.0, 1.0).iter().map(|w| w * w).sum::<f64>() / self.period as f64;
+        (frames - 1.0).max(0.0) * squares / own
+    }
+
+    /// Maximum occupancy of equal codes, if all samples have a normal law of this variance.
+    fn of_slope(&self, all_dn2: f64) -> f64 {
+        self.period as f64 * self.harmonics(all_dn2).sum::<f64>()
+    }
+}
+
+/// Returns the code below which this share of the samples lies.
+fn quantile(n: &[u64], share: f64) -> usize {
+    let needed = share * n.iter().sum::<u64>() as f64;
+    let mut sum = 0.0;
+    let reached = n.iter().position(|k| {
+        sum += *k as f64;
+        sum >= needed
+    });
+    reached.unwrap_or(n.len() - 1)
+}
+
+/// Returns a robust variance of all samples of a level, DN^2: from their quartiles (1.349 deviations apart if
+/// normal), which are known to a code. Shading and unequal pixels are part of it.
+fn spread_dn2(n: &[u64]) -> f64 {
+    let apart = (quantile(n, 0.75) - quantile(n, 0.25)) as f64;
+    ((apart - 1.0).max(0.0) / 1.349).powi(2)
+}
+
+/// Returns the occupancy of each low bit in the counts of one level, and its variance.
+fn bits_of(n: &[u64], noise_dn2: f64, frames: f64) -> [(f64, f64); LOW_BITS] {
+    let all_dn2 = spread_dn2(n).max(noise_dn2);
+    std::array::from_fn(|b| {
+        let comb = Comb { period: 1 << (b + 1) };
+        let m = comb.period;
+        if all_dn2 < (MIN_SPREAD * m as f64).powi(2) {
+            return (0.0, f64::INFINITY);
+        }
+        let mut of_kind = vec![0.0; m];
+        // Clipped samples pile up in the codes at both ends.
+        let inside = || n.iter().enumerate().skip(1).take(n.len().saturating_sub(2));
+        inside().for_each(|(c, n)| of_kind[c % m] += *n as f64);
+        let level = |r: usize| 0.25 * (of_kind[(r + m - 1) % m] + 2.0 * of_kind[r] + of_kind[(r + 1) % m]);
+        let [above, below] = [m / 2 - 1, m - 1].map(level);
+        if above <= 0.0 || below <= 0.0 {
+            return (0.0, f64::INFINITY);
+        }
+        let weights = comb.weights(above, below);
+        let sum = |of: fn(f64) -> f64| weights.iter().zip(&of_kind).map(|(w, n)| of(*w) * n).sum::<f64>();
+        let places = 1.0 + comb.of_places(noise_dn2, frames);
+        (sum(|w| w), sum(|w| w * w) * places + comb.of_slope(all_dn2).powi(2))
+    })
+}
 
 /// Returns the occupancy of bit `b` expected of a converter with these widths, as [`Codes::finish`] measures
 /// it.
@@ -82,16 +183,22 @@ impl Codes {
         let codes = usize::from(full) + 1;
         let grain = (codes / TRANSITIONS).max(1 << (LOW_BITS - 1));
         let transitions = vec![Transition::default(); codes.div_ceil(grain)];
-        Self { counts: vec![0; codes], levels: Vec::new(), grain, transitions }
+        Self { counts: vec![0; codes], levels: Vec::new(), bit_codes: u32::MAX..0, grain, transitions }
     }
 
-    /// Adds the codes of one level. Narrow levels are ignored: their histogram is all slope.
+    /// Adds the codes of one level. The histogram of a narrow level is all slope: it tells low bits at most.
     pub fn add(&mut self, summary: &Summary) {
+        let n = &summary.occupancy.0;
+        let noise_dn2 = summary.var.value - ROUNDING_DN2;
+        if noise_dn2 >= EVEN_DN2 {
+            self.levels.push(bits_of(n, noise_dn2, summary.frames as f64));
+            let [first, last] = [0.01, 0.99].map(|share| quantile(n, share) as u32);
+            self.bit_codes.start = self.bit_codes.start.min(first);
+            self.bit_codes.end = self.bit_codes.end.max(last);
+        }
         if summary.var.value < WIDE_DN2 {
             return;
         }
-        let n = &summary.occupancy.0;
-        let last = n.len() - 1;
         self.counts.iter_mut().zip(n).for_each(|(a, b)| *a += b);
         for (k, t) in self.transitions.iter_mut().enumerate().skip(1) {
             let c = k * self.grain;
@@ -100,27 +207,6 @@ impl Codes {
             t.level += 0.25 * (a + 2.0 * b + d);
             t.var += b + 0.25 * (a + d);
         }
-        let mut bits = [(0.0, f64::INFINITY); LOW_BITS];
-        for (b, out) in bits.iter_mut().enumerate() {
-            let (first, second) = ((1usize << b) - 1, (1usize << (b + 1)) - 1);
-            let (mut value, mut var) = (0.0, 0.0);
-            for (residue, sign) in [(first, 1.0), (second, -1.0)] {
-                let (mut bend, mut all, mut squares) = (0.0, 0.0, 0.0);
-                for c in (1..last).filter(|c| c & second == residue) {
-                    let level = (n[c - 1] + 2 * n[c] + n[c + 1]) as f64 / 4.0;
-                    if level < 20.0 {
-                        continue;
-                    }
-                    bend += n[c] as f64 - 0.5 * (n[c - 1] + n[c + 1]) as f64;
-                    squares += n[c] as f64 + 0.25 * (n[c - 1] + n[c + 1]) as f64;
-                    all += level;
-                }
-                value += sign * bend / all.max(1.0);
-                var += if all > 0.0 { squares / (all * all) } else { f64::INFINITY };
-            }
-            *out = (value, var);
-        }
-        self.levels.push(bits);
     }
 
     /// Returns the range of filled codes and the code statistics.
@@ -131,25 +217,25 @@ impl Codes {
         // of 17 would select the filled codes.
         let wide = |c: usize| n[c.saturating_sub(8)..(c + 8).min(n.len())].iter().sum::<u64>();
         let filled: Vec<usize> = (1..n.len().saturating_sub(1)).filter(|c| wide(*c) > 1000).collect();
-        if filled.len() < 32 {
-            return out;
+        if filled.len() >= 32 {
+            let used = filled.iter().filter(|c| n[**c] > 0).count() as f64;
+            out.used = Some(share_of(used, filled.len() as f64));
+            out.gaps = gaps(n);
+            out.gaps_of_bands = std::array::from_fn(|band| gaps(&n[part(band, BANDS, n.len())]));
+            out.filled.between =
+                (0..PARTS).map(|k| between(&n[part(k, PARTS, n.len())]).count() as f64).collect();
+            out.filled.range = filled[0] as u32..filled[filled.len() - 1] as u32;
         }
-        let used = filled.iter().filter(|c| n[**c] > 0).count() as f64;
-        out.used = Some(share_of(used, filled.len() as f64));
-        out.gaps = gaps(n);
-        out.gaps_of_bands = std::array::from_fn(|band| gaps(&n[part(band, BANDS, n.len())]));
-        out.filled.between =
-            (0..PARTS).map(|k| between(&n[part(k, PARTS, n.len())]).count() as f64).collect();
-        out.filled.range = filled[0] as u32..filled[filled.len() - 1] as u32;
+        out.filled.bits = self.bit_codes.clone();
         for b in 0..LOW_BITS {
             let sound: Vec<(f64, f64)> =
                 self.levels.iter().map(|l| l[b]).filter(|(_, var)| var.is_finite() && *var > 0.0).collect();
             let weight: f64 = sound.iter().map(|(_, var)| 1.0 / var).sum();
-            if sound.len() < 4 {
+            if sound.len() < 2 {
                 continue;
             }
             let value = sound.iter().map(|(v, var)| v / var).sum::<f64>() / weight;
-            // Pixels keep their places from frame to frame: levels scatter more than their counts.
+            // Levels may scatter more than their counts.
             let chi2 = sound.iter().map(|(v, var)| (v - value).powi(2) / var).sum::<f64>()
                 / (sound.len() - 1) as f64;
             out.bits[b] = Some(Value { value, std_err: (chi2.max(1.0) / weight).sqrt().hypot(2e-4) });
@@ -167,6 +253,8 @@ impl Codes {
 pub struct Filled {
     /// Lowest to highest filled code.
     pub range: std::ops::Range<u32>,
+    /// Lowest to highest code of the levels that tell low bits.
+    pub bits: std::ops::Range<u32>,
     /// Number of codes whose neighbours hold many samples, for each of [`PARTS`] equal parts of all codes.
     pub between: Vec<f64>,
 }
@@ -382,7 +470,54 @@ impl LineSearch {
 
 #[cfg(test)]
 mod tests {
-    use super::gaps;
+    use super::{LOW_BITS, bits_of, gaps, occupancy_of};
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// Counts of pixels in some frames: each keeps its place, under normal noise. `width`: of codes that end
+    /// in a set bit, more than of the others.
+    fn counts(seed: u64, noise_dn: f64, places_dn: f64, width: f64) -> Vec<u64> {
+        let mut n = vec![0u64; 1024];
+        for pixel in 0..4000u32 {
+            let mut random = PixelRng::new(seed, Stream::Effect, 0, pixel, 0);
+            let place = 500.0 + places_dn * random.normal();
+            for _ in 0..8 {
+                let level = place + noise_dn * random.normal();
+                let pair = 2.0 * (0.5 * level).floor();
+                let code = pair + f64::from(u8::from(level - pair >= 1.0 - 0.5 * width));
+                n[code as usize] += 1;
+            }
+        }
+        n
+    }
+
+    /// Equal codes have no occupancy, within errors of the right size for the lowest bit, also where pixels
+    /// with little noise keep their places and where all have one level. Unequal ones have what is expected.
+    #[test]
+    fn occupancy_and_its_error_hold_for_little_noise() {
+        const SEEDS: u64 = 60;
+        for (noise_dn, places_dn) in [(1.5, 0.0), (1.5, 5.0), (2.5, 5.0), (6.0, 3.0), (6.0, 20.0)] {
+            let mut squares = [0.0; LOW_BITS];
+            for seed in 0..SEEDS {
+                let found = bits_of(&counts(seed, noise_dn, places_dn, 0.0), noise_dn * noise_dn, 8.0);
+                for (sum, (value, var)) in squares.iter_mut().zip(found) {
+                    *sum += value * value / var / SEEDS as f64;
+                }
+            }
+            // The mean of 60 squares of unit scatter has the deviation 0.18: four of them. Errors of high
+            // bits contain the slope of a narrow histogram as its largest value.
+            let most = 1.0 + 4.0 * (2.0 / SEEDS as f64).sqrt();
+            assert!(squares.iter().all(|s| *s < most), "{noise_dn}, {places_dn}: {squares:.2?}");
+            assert!(squares[0] > 0.27, "{noise_dn}, {places_dn}: {squares:.2?}");
+        }
+        for seed in 0..8 {
+            let width = 0.15;
+            let (value, var) = bits_of(&counts(seed, 2.0, 5.0, width), 4.0, 8.0)[0];
+            let widths = |code: u32| if code % 2 == 1 { 1.0 + 0.5 * width } else { 1.0 - 0.5 * width };
+            let expected = occupancy_of(&widths, &(480..520), 0);
+            assert!((value - expected).abs() < 4.0 * var.sqrt(), "{value} +- {}, not {expected}", var.sqrt());
+            assert!(value.abs() > 4.0 * var.sqrt(), "{value} +- {}", var.sqrt());
+        }
+    }
 
     /// Codes times 1.01, rounded down, leave out one code in 101. Unchanged codes and multiples of four leave
     /// out no single one.

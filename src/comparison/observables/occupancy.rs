@@ -29,10 +29,26 @@ impl Statistic for Occupancy {
     }
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
-        let codes = &view.all.codes[o.half.place()].range;
+        let codes = &view.all.codes[o.half.place()].bits;
         let value = if view.even_codes() { 0.0 } else { occupancy_of(&|c| view.width(c), codes, o.index) };
-        // If a table that follows the level leaves out codes, it is not predicted which ones.
-        let table = if view.all_codes() { 0.0 } else { 2.0 };
+        let table = if view.all_codes() { 0.0 } else { of_table(view, codes.len() as f64, o.index) };
         Expected::plain(o, value, in_quadrature(&[o.measured.std_err, table]))
     }
+}
+
+/// Minimum share of codes that a table leaves out or doubles (a named choice: it doubles codes where its step
+/// is below 1).
+const MIN_IRREGULAR: f64 = 0.1;
+/// Margin of the scatter below: levels cover a part of the codes (a named choice).
+const MARGIN: f64 = 2.0;
+
+/// Returns the standard deviation of the occupancy of a bit under a table that follows the level. It is not
+/// predicted which codes it leaves out: each is one less in its kind of codes, or half of one more in that of
+/// its neighbours.
+fn of_table(view: &View<'_>, codes: f64, bit: usize) -> f64 {
+    let left_out = |used: f64| (1.0 / used.max(0.1) - 1.0).abs();
+    let sets = &view.prediction.sets;
+    let share = sets.iter().map(|s| left_out(s.codes_used)).sum::<f64>() / (sets.len() as f64).max(1.0);
+    let of_kind = codes / f64::from(2u32 << bit);
+    (MARGIN * (3.0 * share.max(MIN_IRREGULAR) / of_kind.max(1.0)).sqrt()).min(2.0)
 }
