@@ -123,12 +123,17 @@ fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
             let apart = std::f64::consts::TAU * per_code * (s.signal - darkest);
             if is_dense { apart.min(1.0) } else { 1.0 }
         };
-        let (of_table, of_codes) = (ROUNDED * left * cycles(turn.abs()), quantised_mean(variance) * cycles(1.0));
+        let (of_table, of_codes) =
+            (ROUNDED * left * cycles(turn.abs()), quantised_mean(variance) * cycles(1.0));
         s.unsure_mean = libm::hypot(s.unsure_mean, of_table);
         // The error rises or falls with the code: its covariance with the noise is the variance times its
         // mean slope (Stein 1981, lemma 1).
         let slope_of_error = std::f64::consts::TAU * turn.abs() * ROUNDED * left;
-        let of_noise = if is_dense { 2.0 * slope_of_error * (variance + ROUNDED * ROUNDED) / here } else { 0.5 * of_table };
+        let of_noise = if is_dense {
+            2.0 * slope_of_error * (variance + ROUNDED * ROUNDED) / here
+        } else {
+            0.5 * of_table
+        };
         s.unsure_own = libm::hypot(s.unsure_own, of_noise * cycles(turn.abs()));
         if is_dense && s.signal <= darkest {
             out.unsure_dark_dn2 = libm::hypot(out.unsure_dark_dn2, of_noise);

@@ -59,7 +59,8 @@ impl Kinds {
         // alone then tell what is left for the darks, unless they lie on a bend too.
         let bends = |transfer: &Transfer| transfer.bend().abs() > MAX_BEND_TO_BLACK;
         let transfer = if bends(&transfer) {
-            Transfer::by_pixels(campaign, &zero, &all_but_the_darkest_flats(campaign)).filter(|t| !bends(t))?
+            Transfer::by_pixels(campaign, &zero, &all_but_the_darkest_flats(campaign))
+                .filter(|t| !bends(t))?
         } else {
             transfer
         };
@@ -152,7 +153,8 @@ impl Kinds {
 
 /// Returns all sets but the darkest flats, of which a curve can be fitted.
 fn all_but_the_darkest_flats(campaign: &Campaign<'_>) -> Vec<usize> {
-    let mut flats = campaign.places(|s| s.is_lit() && !s.clipped && !s.is_cut_off() && s.variance_dn2().is_some());
+    let mut flats =
+        campaign.places(|s| s.is_lit() && !s.clipped && !s.is_cut_off() && s.variance_dn2().is_some());
     let level = |i: usize| campaign.sets[i].level_dn();
     flats.sort_by(|a, b| level(*a).total_cmp(&level(*b)));
     flats.truncate(MIN_FLATS.max(flats.len() / 3));

@@ -270,7 +270,8 @@ fn of_lit_darks(
     transfer: &Transfer,
 ) -> Option<String> {
     let (black_dn, std) = response.black_dn;
-    let exposures = |sets: &[usize]| -> Vec<f64> { sets.iter().map(|&i| campaign.sets[i].exposure_s).collect() };
+    let exposures =
+        |sets: &[usize]| -> Vec<f64> { sets.iter().map(|&i| campaign.sets[i].exposure_s).collect() };
     let of_flats = median(exposures(&campaign.places(|s| s.is_lit())).into_iter());
     let like_flats = |i: &&usize| (campaign.sets[**i].exposure_s / of_flats - 1.0).abs() < SAME_EXPOSURE;
     let beside: Vec<usize> = darks.iter().filter(like_flats).copied().collect();

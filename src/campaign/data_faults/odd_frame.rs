@@ -113,9 +113,11 @@ impl Check for OddFrame {
             let off: Vec<f64> = means.iter().map(|m| m - level).collect();
             // Lag is in the first dark after light.
             let usual = share.filter(|s| s.abs() > MIN_CARRIED_SHARE);
-            if campaign.share_of_change(set).zip(usual).is_some_and(|(own, usual)| {
-                own * usual > 0.0 && own.abs() < CARRIED_TOLERANCE * usual.abs()
-            }) {
+            if campaign
+                .share_of_change(set)
+                .zip(usual)
+                .is_some_and(|(own, usual)| own * usual > 0.0 && own.abs() < CARRIED_TOLERANCE * usual.abs())
+            {
                 continue;
             }
             let same = (10.0 * zero.scatter_dn).max(MIN_OFFSET_DN);

@@ -183,7 +183,7 @@ impl Codes {
         let codes = usize::from(full) + 1;
         let grain = (codes / TRANSITIONS).max(1 << (LOW_BITS - 1));
         let transitions = vec![Transition::default(); codes.div_ceil(grain)];
-        Self { counts: vec![0; codes], levels: Vec::new(), bit_codes: u32::MAX..0, grain, transitions }
+        Self { counts: vec![0; codes], levels: Vec::new(), bit_codes: 0..0, grain, transitions }
     }
 
     /// Adds the codes of one level. The histogram of a narrow level is all slope: it tells low bits at most.
@@ -193,8 +193,9 @@ impl Codes {
         if noise_dn2 >= EVEN_DN2 {
             self.levels.push(bits_of(n, noise_dn2, summary.frames as f64));
             let [first, last] = [0.01, 0.99].map(|share| quantile(n, share) as u32);
-            self.bit_codes.start = self.bit_codes.start.min(first);
-            self.bit_codes.end = self.bit_codes.end.max(last);
+            let before = &self.bit_codes;
+            self.bit_codes =
+                if before.is_empty() { first..last } else { before.start.min(first)..before.end.max(last) };
         }
         if summary.var.value < WIDE_DN2 {
             return;
