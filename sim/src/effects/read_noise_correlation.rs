@@ -1,6 +1,6 @@
 //! Read-noise correlation: a pixel's read noise recurs in the next pixels of its row.
 
-use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Stage, takes};
+use super::{Campaign, Drawing, Effect, Page, Parameter, Plain, Prediction, Seen, Stage, takes};
 use crate::predict::angle;
 
 /// Normal noise of single pixels, each value added to its own pixel and, with the same or the opposite sign,
@@ -67,6 +67,15 @@ impl Effect for ReadNoiseCorrelation {
             (_, true) => "with the same sign",
             _ => "with the opposite sign",
         })
+    }
+
+    /// Returns starts of a size as that of the dark noise: all of it may be shared.
+    fn starts(&self, seen: &Seen) -> Vec<Vec<f64>> {
+        let noise_e = (seen.dark_noise_dn * seen.peak_e / seen.peak_dn.max(1e-9)).max(1.0);
+        let of = |(shape, share, next): (f64, f64, f64)| vec![shape, share * noise_e, next];
+        [(0.0, 0.3, 0.3), (1.0, 0.3, 0.3), (2.0, 0.7, 0.3), (2.0, 0.7, 0.7), (2.0, 0.3, -0.3)]
+            .map(of)
+            .to_vec()
     }
 
     /// Returns the covariance of row neighbours: for read noise it is the same at every light level.

@@ -213,6 +213,30 @@ fn top_code(frame: &Array2<u16>, full: u16) -> Option<u16> {
     (at_top as f64 >= PILE * frame.len() as f64 && at_top >= ABOVE_NEXT * at_next.max(1)).then_some(top)
 }
 
+/// Averages darks of few frames, in order of their levels, until each mean has as many frames as the first
+/// look reads of long sets. Noisy pixels of pairs would lie as far off as hot ones in some set. `None` if the
+/// sets have more frames, or are too few for two means.
+fn of_few_frames(darks: &[&Look], level: impl Fn(&Array2<f32>) -> f64) -> Option<Vec<Array2<f32>>> {
+    let frames = |l: &Look| l.apart.as_ref().map_or(0, |(_, apart)| apart.mean_dn.len());
+    let most = darks.iter().map(|l| frames(l)).max()?;
+    let together = FIRST.div_ceil(most.max(1));
+    if most >= JUMPING_FRAMES || darks.len() < 2 * together {
+        return None;
+    }
+    let mut means: Vec<&Array2<f32>> = darks.iter().filter_map(|l| l.dark.as_ref()).collect();
+    means.sort_by(|a, b| level(a).total_cmp(&level(b)));
+    // The last mean takes the sets that are left over.
+    let groups = means.len() / together;
+    let of_group = |k: usize| {
+        let end = if k + 1 == groups { means.len() } else { (k + 1) * together };
+        let own = &means[k * together..end];
+        let mut sum = own[0].clone();
+        own[1..].iter().for_each(|d| sum += *d);
+        sum / own.len() as f32
+    };
+    Some((0..groups).map(of_group).collect())
+}
+
 /// Finds pixels that jump between levels. Their means are offset like those of hot pixels: a jump A in a
 /// fraction p of the frames moves the mean by p A and has noise sqrt(p (1 - p)) A. The shot noise of a
 /// hot pixel is far below its offset.
@@ -324,8 +348,13 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usi
     }
     // In a dark at full scale most pixels have one code, and the sound ones deviate from it.
     let is_told = |l: &&Look| !l.saturated || looks.iter().all(|l| l.saturated || l.dark.is_none());
-    let darks: Vec<&Array2<f32>> = looks.iter().filter(is_told).filter_map(|l| l.dark.as_ref()).collect();
     let level = |d: &Array2<f32>| f64::from(d.mean().unwrap_or(0.0));
+    let own: Vec<&Look> = looks.iter().filter(is_told).filter(|l| l.dark.is_some()).collect();
+    let means = of_few_frames(&own, level);
+    let darks: Vec<&Array2<f32>> = match &means {
+        Some(means) => means.iter().collect(),
+        None => own.iter().filter_map(|l| l.dark.as_ref()).collect(),
+    };
     let shortest = darks.iter().min_by(|a, b| level(a).total_cmp(&level(b)));
     let mut highest = shortest.map(|d| (*d).clone());
     if let Some(highest) = &mut highest {

@@ -39,6 +39,11 @@ impl Statistic for Occupancy {
 /// Minimum share of codes that a table leaves out or doubles (a named choice: it doubles codes where its step
 /// is below 1).
 const MIN_IRREGULAR: f64 = 0.1;
+/// Maximum share of codes left out between codes that occur, and minimum difference of the share between
+/// levels, for codes without a regular order (named choices).
+const IRREGULAR: (f64, f64) = (0.5, 0.02);
+/// Standard deviation with a regular order: all codes of one kind may be left out.
+const REGULAR: f64 = 2.0;
 /// Margin of the scatter below: levels cover a part of the codes (a named choice).
 const MARGIN: f64 = 2.0;
 
@@ -47,8 +52,12 @@ const MARGIN: f64 = 2.0;
 /// its neighbours.
 fn of_table(view: &View<'_>, codes: f64, bit: usize) -> f64 {
     let left_out = |used: f64| (1.0 / used.max(0.1) - 1.0).abs();
-    let sets = &view.prediction.sets;
-    let share = sets.iter().map(|s| left_out(s.codes_used)).sum::<f64>() / (sets.len() as f64).max(1.0);
+    let shares = || view.prediction.sets.iter().map(|s| left_out(s.codes_used));
+    let (least, most) = shares().fold((f64::INFINITY, 0.0f64), |(a, b), s| (a.min(s), b.max(s)));
+    if most > IRREGULAR.0 || most - least < IRREGULAR.1 {
+        return REGULAR;
+    }
+    let share = shares().sum::<f64>() / (view.prediction.sets.len() as f64).max(1.0);
     let of_kind = codes / f64::from(2u32 << bit);
-    (MARGIN * (3.0 * share.max(MIN_IRREGULAR) / of_kind.max(1.0)).sqrt()).min(2.0)
+    (MARGIN * (3.0 * share.max(MIN_IRREGULAR) / of_kind.max(1.0)).sqrt()).min(REGULAR)
 }
