@@ -83,6 +83,9 @@ const FILLS: f64 = 0.75;
 
 /// Shape with a table of whole codes.
 const WHOLE_CODE: i32 = 9;
+/// Shape with the same curve, computed with more bits than the codes that are sent (a converter of 12 bits
+/// behind 8 of the output): it leaves out no codes.
+const FINE: i32 = 10;
 
 /// Slope of a table below which darks of a few codes share its rounding error (a named choice: beyond, the
 /// noise of darks skips codes).
@@ -92,6 +95,18 @@ const ROUNDED: f64 = 0.29;
 
 fn is_of_whole_code(p: &[f64]) -> bool {
     p[0].round() as i32 == WHOLE_CODE
+}
+
+fn is_fine(p: &[f64]) -> bool {
+    p[0].round() as i32 == FINE
+}
+
+/// Computes the gamma of the code with the black level in it: a curve of DN above the black level, with the
+/// code of darks before it.
+fn fine(g: f64, full: f64, black: f64) -> impl Fn(f64) -> f64 {
+    let black = black.max(1e-3);
+    let before = full * libm::pow(black / full, 1.0 / g);
+    move |v| full * libm::pow(((v + before) / full).max(0.0), g) - black
 }
 
 /// Maps codes c to full scale (c / full scale)^g, black level included: the level of the darks is the black
@@ -143,7 +158,7 @@ fn of_whole_code(g: f64, c: &Campaign, out: &mut Prediction) {
             s.unsure_mean = libm::hypot(s.unsure_mean, of_codes);
         }
     }
-    out.bend(c, |v| full * libm::pow(((v + before) / full).max(0.0), g) - black);
+    out.bend(c, fine(g, full, black));
     out.whole = false;
 }
 
@@ -162,7 +177,13 @@ impl Effect for Nonlinearity {
 
     /// A table of codes comes after the converter.
     fn stage_with(&self, values: &[f64]) -> Stage {
-        if is_of_whole_code(values) { Stage::Firmware } else { Stage::Amplifier }
+        if is_of_whole_code(values) {
+            Stage::Firmware
+        } else if is_fine(values) {
+            Stage::Converter
+        } else {
+            Stage::Amplifier
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {
@@ -170,18 +191,18 @@ impl Effect for Nonlinearity {
             Parameter {
                 name: "shape",
                 meaning: "0 to 2: one power, 3: polynomial, 4: gamma of the signal, 5: two slopes, 6: exponential saturation, 7: free curve, 8: toe, \
-                          9: gamma of the whole code",
+                          9: gamma of the whole code, 10: the same before codes are rounded",
                 unit: "choice",
                 min: 0.0,
-                max: 9.0,
-                starts: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
+                max: 10.0,
+                starts: &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0],
             },
             size("rel", "shapes 0 to 3: what is missing at full scale, relative", 0.01),
             size("rel_2", "shape 3: of the second power", 0.003),
             size("rel_3", "shape 3: of the third power", 0.003),
             Parameter {
                 name: "exponent",
-                meaning: "shapes 4 and 9: the exponent (gamma)",
+                meaning: "shapes 4, 9 and 10: the exponent (gamma)",
                 unit: "1",
                 min: 0.25,
                 max: 2.5,
@@ -242,7 +263,7 @@ impl Effect for Nonlinearity {
             (_, 0) => true,
             (0..=2, k) => k == REL,
             (3, k) => (REL..REL + 3).contains(&k),
-            (4 | WHOLE_CODE, k) => k == EXPONENT,
+            (4 | WHOLE_CODE | FINE, k) => k == EXPONENT,
             (5, k) => k == KNEE || k == KNEE + 1,
             (6, k) => k == ASYMPTOTE,
             (7, k) => (FIRST_KNOT..TOE).contains(&k),
@@ -261,6 +282,7 @@ impl Effect for Nonlinearity {
             6 => "saturation towards an asymptote",
             8 => "a toe near black",
             WHOLE_CODE => "gamma, applied to the whole code with the black level in it",
+            FINE => "gamma, applied to the whole code with the black level in it, before it is rounded",
             _ => "a free curve",
         })
     }
@@ -287,7 +309,9 @@ impl Effect for Nonlinearity {
             // The variance alone determines one parameter of a bend.
             return out;
         }
-        out.extend([0.97, 0.85, 0.6, 0.45, 1.1].map(|e| with(f64::from(WHOLE_CODE), &[(EXPONENT, e)])));
+        for shape in [WHOLE_CODE, FINE] {
+            out.extend([0.97, 0.85, 0.6, 0.45, 1.1].map(|e| with(f64::from(shape), &[(EXPONENT, e)])));
+        }
         out.push(with(3.0, &[(REL, 0.01), (REL + 1, 0.003), (REL + 2, 0.003)]));
         out.extend([0.93, 1.07].map(|e| with(4.0, &[(EXPONENT, e)])));
         out.extend([0.3, 0.5, 0.7, 0.85].map(|k| with(5.0, &[(KNEE, k * peak), (KNEE + 1, 0.9)])));
@@ -352,7 +376,8 @@ impl Effect for Nonlinearity {
                    amplifier near its rail, a gamma or a knee that is switched on.",
             equation: "D = f(v), v = A q; shape 0 to 2: v (1 - rel x^n), x = v / full scale, n = 1, 2, 3; 3: v (1 - rel x - rel_2 x^2 - \
                        rel_3 x^3); 4: full scale x^exponent; 5: slope 1 up to knee_dn, ratio above; 6: a (1 - exp(-v / a)); 7: v (1 - c(x)), \
-                       c a cubic spline; 8: v - toe_dn (1 - exp(-v / toe_width_dn)); 9: D' = full scale (D / full scale)^exponent of codes D, black level included; \
+                       c a cubic spline; 8: v - toe_dn (1 - exp(-v / toe_width_dn)); 9: D' = full scale (D / full scale)^exponent of codes D, black level included, 10: the same \
+                       before rounding; \
                        the inverse is full scale (D' / full scale)^(1 / exponent); noise is multiplied by the slope",
             signature: "the mean against the exposure bends; variance over mean follows the square of the slope; neighbours stay uncorrelated",
             look_alikes: "brighter-fatter lowers the variance too, but leaves the mean alone and correlates neighbours; lamp settings scatter \
@@ -370,6 +395,10 @@ impl Effect for Nonlinearity {
             of_whole_code(p[EXPONENT], c, out);
             return;
         }
+        if is_fine(p) {
+            out.bend(c, fine(p[EXPONENT], c.full_scale_dn, out.base.offset_dn));
+            return;
+        }
         out.bend(c, bent(p, c.full_scale_dn));
     }
 
@@ -377,6 +406,12 @@ impl Effect for Nonlinearity {
         if is_of_whole_code(p) {
             let full = d.full_scale_dn;
             d.image.mapv_inplace(|code| full * libm::pow((code / full).max(0.0), p[EXPONENT]));
+            return;
+        }
+        if is_fine(p) {
+            // The image counts from the black level before the curve.
+            let (full, black) = (d.full_scale_dn, d.offset_dn);
+            d.image.mapv_inplace(|v| full * libm::pow(((v + black) / full).max(0.0), p[EXPONENT]) - black);
             return;
         }
         d.image.mapv_inplace(bent(p, d.full_scale_dn));

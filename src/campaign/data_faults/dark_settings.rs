@@ -13,6 +13,7 @@ use super::{Campaign, Check, DataFault, FaultKind};
 use crate::dataset::Kind;
 use crate::number::six_digits;
 use crate::statistics::median::median;
+use crate::statistics::quantisation::error_of_variance_dn2;
 
 /// Usual scatter of a dark set's level, DN.
 const SET_SCATTER_DN: f64 = 0.1;
@@ -63,7 +64,8 @@ impl Check for DarkSettings {
         let point = |(&i, &charge): (&usize, &f64)| {
             let set = &campaign.sets[i];
             let (var, pairs) = var(i);
-            let of_charge = var / gain * (3.0 / (set.facts.pixels * pairs)).sqrt();
+            let of_rounding = error_of_variance_dn2(var).hypot(error_of_variance_dn2(quietest)) / gain;
+            let of_charge = (var / gain * (3.0 / (set.facts.pixels * pairs)).sqrt()).hypot(of_rounding);
             let std = SET_SCATTER_DN.hypot(frame / (set.frames() as f64).sqrt()).hypot(of_charge);
             Point { factors: vec![1.0, charge], value: set.level_dn() - charge, std }
         };

@@ -237,6 +237,45 @@ fn of_few_frames(darks: &[&Look], level: impl Fn(&Array2<f32>) -> f64) -> Option
     Some((0..groups).map(of_group).collect())
 }
 
+/// Minimum number of dark sets that determine the noise of a pixel.
+const SETS_OF_NOISE: usize = 4;
+/// Offset of a mean, in its own standard errors, that the largest of a few means does not reach by chance (2
+/// in 10,000 for three of them).
+const BY_NOISE: f64 = 4.0;
+
+/// Noise of single pixels from set to set: noisy pixels are no hot ones, and belong to the read noise.
+struct OwnNoise<'a> {
+    /// Means of the darks in order of their levels.
+    means: Vec<&'a [f32]>,
+    /// Number of sets in each of the compared means.
+    together: f64,
+    /// Usual standard error of the mean of a set, DN.
+    usual_dn: f64,
+}
+
+impl<'a> OwnNoise<'a> {
+    /// `compared`: number of means among which the highest was sought. `None` for too few sets.
+    fn of(darks: &[&'a Look], compared: usize, level: impl Fn(&Array2<f32>) -> f64) -> Option<Self> {
+        let mut own: Vec<&Array2<f32>> = darks.iter().filter_map(|l| l.dark.as_ref()).collect();
+        own.sort_by(|a, b| level(a).total_cmp(&level(b)));
+        let frames = |l: &&Look| l.apart.as_ref().map_or(1, |(_, apart)| apart.mean_dn.len()).max(1) as f64;
+        let squares = darks.iter().filter_map(|l| Some(l.var_dn2()?.max(1.0 / 12.0) / frames(l)));
+        let usual_dn = median(squares).sqrt();
+        let means: Vec<&[f32]> = own.iter().filter_map(|d| d.as_slice()).collect();
+        let together = means.len() as f64 / compared.max(1) as f64;
+        (means.len() >= SETS_OF_NOISE && usual_dn > 0.0).then_some(Self { means, together, usual_dn })
+    }
+
+    /// Returns true if the noise of a pixel reaches an offset of its mean, and is not that of a pixel that
+    /// jumps. The median of the steps from set to set leaves out those of the dark charge, which is largest
+    /// in the last few sets.
+    fn reaches(&self, pixel: usize, off_dn: f64) -> bool {
+        let steps = self.means.windows(2).map(|pair| f64::from(pair[1][pixel] - pair[0][pixel]).abs());
+        let noise_dn = median(steps) / (0.6745 * std::f64::consts::SQRT_2);
+        noise_dn < JUMPS * self.usual_dn && off_dn < BY_NOISE * noise_dn / self.together.sqrt()
+    }
+}
+
 /// Finds pixels that jump between levels. Their means are offset like those of hot pixels: a jump A in a
 /// fraction p of the frames moves the mean by p A and has noise sqrt(p (1 - p)) A. The shot noise of a
 /// hot pixel is far below its offset.
@@ -362,7 +401,13 @@ fn layout(shape: (usize, usize), full: u16, looks: &[Look]) -> (Layout, f64, usi
         let middle = median(highest.iter().map(|&d| f64::from(d)));
         let spread = (median(highest.iter().map(|&d| (f64::from(d) - middle).abs())) / 0.6745).max(0.5);
         let clipped = used.clone();
-        used.zip_mut_with(highest, |u, &d| *u &= (f64::from(d) - middle).abs() < 8.0 * spread);
+        let noise = OwnNoise::of(&own, darks.len(), level);
+        if let (Some(used), Some(highest)) = (used.as_slice_mut(), highest.as_slice()) {
+            for (i, (used, d)) in used.iter_mut().zip(highest).enumerate() {
+                let off_dn = (f64::from(*d) - middle).abs();
+                *used &= off_dn < 8.0 * spread || noise.as_ref().is_some_and(|n| n.reaches(i, off_dn));
+            }
+        }
         if let (Some(used), Some(clipped)) = (used.as_slice_mut(), clipped.as_slice()) {
             looks.iter().flat_map(|l| &l.jumping).for_each(|&i| used[i] = clipped[i]);
         }
@@ -506,8 +551,40 @@ pub fn record_looks(dataset: &Dataset, stop: &AtomicBool) -> Result<Reduced, Exa
 
 #[cfg(test)]
 mod tests {
-    use super::{dim, top_code};
+    use super::{Look, OwnNoise, dim, top_code};
     use ndarray::Array2;
+    use radcam_sim::rng::{PixelRng, Stream};
+
+    /// In 20 darks of one frame each, nine of ten pixels of up to five times the usual noise stay. Hot pixels,
+    /// also those that only long exposures show, and pixels of sixteen times the noise do not.
+    #[test]
+    fn noisy_pixels_are_no_hot_ones() {
+        let shape = (40, 50);
+        let kind = |i: usize| i % 4;
+        let dark = |set: u32| {
+            Array2::from_shape_fn(shape, |(r, c)| {
+                let i = r * shape.1 + c;
+                let z = PixelRng::new(396, Stream::Frame, u64::from(set), i as u32, 0).normal();
+                let charge = 2f64.powi(set as i32 / 2 - 9);
+                let (sd, off) = [(1.0, 0.0), (5.0, 0.0), (1.0, 400.0 * charge), (16.0, 0.0)][kind(i)];
+                (20.0 + sd * z + off) as f32
+            })
+        };
+        let look = |set: u32| Look { dark: Some(dark(set)), pair: Some((20.0, 1.0)), ..Look::default() };
+        let looks: Vec<Look> = (0..20).map(look).collect();
+        let all: Vec<&Look> = looks.iter().collect();
+        let level = |d: &Array2<f32>| f64::from(d.mean().unwrap());
+        let noise = OwnNoise::of(&all, all.len(), level).unwrap();
+        let mut kept = [0; 4];
+        for i in 0..shape.0 * shape.1 {
+            let own = looks.iter().map(|l| f64::from(l.dark.as_ref().unwrap().as_slice().unwrap()[i]) - 20.0);
+            let off_dn = own.map(f64::abs).fold(0.0, f64::max);
+            kept[kind(i)] += usize::from(noise.reaches(i, off_dn));
+        }
+        // 500 of each kind.
+        assert!(kept[0] > 450 && kept[1] > 450 && kept[2] == 0 && kept[3] < 50, "{kept:?}");
+        assert!(OwnNoise::of(&all[..3], 3, level).is_none());
+    }
 
     /// Two dim pixels, one of them in a corner, and a dead column are found in a shaded field; dust of 5
     /// x 5 pixels is not.

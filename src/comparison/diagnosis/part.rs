@@ -17,7 +17,7 @@ use rayon::prelude::*;
 const NAMELESS_DISCOUNT: f64 = MATTERS;
 /// Maximum mean squared residual of a fit with which a campaign may agree: its chance for twenty residuals is
 /// one in a thousand.
-const MAX_MEAN_SQUARE: f64 = 2.3;
+pub(super) const MAX_MEAN_SQUARE: f64 = 2.3;
 /// Minimum evidence of an effect beside others with which the campaign agrees, if the error on held-out
 /// frames does not fall with it (a named choice: five standard errors).
 const BESIDE: f64 = 25.0;

@@ -3,7 +3,7 @@
 
 use super::memo::{Memo, key, of_effects};
 use super::memory::is_memory;
-use super::part::BARE_MENTION;
+use super::part::{BARE_MENTION, MAX_MEAN_SQUARE};
 use super::starts::{Starts, finished, sorted};
 use super::{HOLDS, TIE};
 use crate::dataset::Kind;
@@ -69,6 +69,9 @@ pub struct Candidate {
     pub fitted: Fitted,
     /// Evidence against the model without it.
     pub evidence: f64,
+    /// Model with a simpler form of the effect that explains nearly as much, where neither describes the
+    /// campaign: a flexible form takes over a part of what a second effect does.
+    simpler: Option<Box<Fitted>>,
 }
 
 /// Returns the kind of statistics that the campaign has.
@@ -248,13 +251,23 @@ impl Look<'_> {
             (stands(c, &seen) || told()) && is_shown(self.all, c) && !self.only_excuses(c)
         };
         self.trace("to the end", effect, &tries);
-        let tries =
-            tries.into_iter().map(|fitted| Candidate { effect, evidence: self.evidence(&fitted), fitted });
+        let tries = tries.into_iter().map(|fitted| Candidate {
+            effect,
+            evidence: self.evidence(&fitted),
+            fitted,
+            simpler: None,
+        });
         let standing: Vec<Candidate> = tries.filter(stands).collect();
         // Forms that explain it equally well are tied: the first of the effect's list is taken.
         let best = standing.first()?.evidence;
-        let form = |c: &Candidate| c.fitted.effects.last().map(|(e, values)| choices(*e, values));
-        standing.into_iter().filter(|c| best - c.evidence < BARE_MENTION).min_by_key(form)
+        let form = |c: &&Candidate| c.fitted.effects.last().map(|(e, values)| choices(*e, values));
+        let number = |c: &Candidate| c.fitted.effects.last().map_or(0, |(e, values)| used(*e, values));
+        let chosen = standing.iter().filter(|c| best - c.evidence < BARE_MENTION).min_by_key(form)?;
+        let nearly = standing.iter().filter(|c| c.evidence > NEARLY * best && number(c) < number(chosen));
+        let simplest =
+            nearly.filter(|_| chosen.fitted.mean_square > MAX_MEAN_SQUARE).min_by_key(|c| number(c));
+        let simpler = simplest.map(|c| Box::new(c.fitted.clone()));
+        Some(Candidate { simpler, ..chosen.clone() })
     }
 
     /// Logs fits of an effect with their evidence.
@@ -561,7 +574,7 @@ fn search_without(
         let mut next: Vec<Line> = Vec::new();
         for line in &lines {
             let names: Vec<&str> = line.fitted.effects.iter().map(|(e, _)| e.id()).collect();
-            if looked_at.contains(&ids(&line.fitted)) {
+            if looked_at.contains(&forms_of(&line.fitted)) {
                 done.push(line.clone());
                 continue;
             }
@@ -569,7 +582,7 @@ fn search_without(
                 done.push(line.clone());
                 continue;
             }
-            looked_at.push(ids(&line.fitted));
+            looked_at.push(forms_of(&line.fitted));
             progress(&format!("with {names:?}: trying every effect"));
             let found = candidates(all, &line.fitted, far && depth == 0, not, memo);
             let mut longer = longer(all, &found, given, memo);
@@ -583,7 +596,10 @@ fn search_without(
             }
         }
         next.sort_by(|a, b| a.score.total_cmp(&b.score));
-        next.dedup_by(|a, b| ids(&a.fitted) == ids(&b.fitted));
+        next.dedup_by(|a, b| forms_of(&a.fitted) == forms_of(&b.fitted));
+        for line in &next {
+            tracing::debug!("line {:.1}: {:?}", line.score, forms_of(&line.fitted));
+        }
         next.truncate(LINES);
         if next.is_empty() {
             break;
@@ -677,6 +693,13 @@ fn longer(all: &Observations, found: &[Candidate], given: usize, memo: &Memo) ->
             if fitted.mean_square > FAR_SQUARE { fit(all, &fitted.base, &fitted.effects) } else { fitted };
         Line { score: score(all, &fitted), fitted }
     };
+    let simple = |c: &Candidate| {
+        let fitted = c.simpler.as_deref()?.clone();
+        let against = c.evidence + score(all, &c.fitted);
+        Some(Candidate { evidence: against - score(all, &fitted), fitted, simpler: None, ..c.clone() })
+    };
+    let simpler: Vec<Candidate> = near.iter().filter_map(|c| simple(c)).collect();
+    near.extend(&simpler);
     near.iter().map(line).collect()
 }
 
@@ -690,10 +713,11 @@ fn instead(all: &Observations, found: &[Candidate], line: &Line, given: usize, m
     lines.filter(|l| l.fitted.effects.len() <= line.fitted.effects.len() && l.score < line.score).collect()
 }
 
-fn ids(fitted: &Fitted) -> Vec<&'static str> {
-    let mut ids: Vec<_> = fitted.effects.iter().map(|(e, _)| e.id()).collect();
-    ids.sort_unstable();
-    ids
+/// Returns the effects of a model, each with the bits of its choices.
+fn forms_of(fitted: &Fitted) -> Vec<(&'static str, Vec<u64>)> {
+    let mut forms: Vec<_> = fitted.effects.iter().map(|(e, values)| (e.id(), choices(*e, values))).collect();
+    forms.sort_unstable();
+    forms
 }
 
 /// Adds the candidates that explain something else to a candidate's model: each gains beside it most of what
