@@ -555,8 +555,8 @@ mod tests {
     use ndarray::Array2;
     use radcam_sim::rng::{PixelRng, Stream};
 
-    /// In 20 darks of one frame each, nine of ten pixels of up to five times the usual noise stay. Hot pixels,
-    /// also those that only long exposures show, and pixels of sixteen times the noise do not.
+    /// In 20 darks of one frame each, nine of ten pixels of up to five times the usual noise stay. Hot
+    /// pixels, also those that only long exposures show, and pixels of sixteen times the noise do not.
     #[test]
     fn noisy_pixels_are_no_hot_ones() {
         let shape = (40, 50);
