@@ -34,6 +34,11 @@ impl CorrelatedFrames {
         self.n() * (1.0 - self.whole) / (self.n() - 1.0)
     }
 
+    /// Variance of the mean of the frames over the variance.
+    pub fn of_mean(&self) -> f64 {
+        self.whole
+    }
+
     /// Mean product of successive residuals over the variance.
     pub fn product(&self) -> f64 {
         let each = self.rows.windows(2).map(|r| self.rho[1] - r[0] - r[1] + self.whole);

@@ -4,6 +4,7 @@
 //! of the set from one pass; [`moments::Moments`], mean and variance of every pixel. Values that a model is
 //! compared with are made of them in [`observables`](crate::observables). Begin with [`pass`].
 
+pub(crate) mod between_sets;
 pub mod code_step;
 pub(crate) mod correlated_frames;
 pub mod covariance;

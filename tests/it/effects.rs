@@ -1,7 +1,7 @@
 //! Effects end to end: hidden effects named by the real program.
 
 use crate::outside;
-use crate::support::{camera, expect, shared, small};
+use crate::support::{camera, expect, radcam, shared, small};
 use radcam::capture::Capture;
 use radcam::dataset::{Dataset, Kind};
 use radcam::diagnosis::{Diagnosis, diagnose};
@@ -382,6 +382,41 @@ fn a_filter_of_whole_codes_is_named_after_bright_frames() {
     };
     named(31, 0.0226);
     named(32, 0.0344);
+}
+
+/// A filter over time in pairs taken after frames that are not saved: the difference of two frames tells
+/// nothing of it, and the means from set to set do. It is named, the gain within four standard errors and 3
+/// %, and `noise` says that frames share noise.
+#[test]
+fn a_filter_is_named_in_pairs() {
+    const FRAMES: u32 = 10;
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("c");
+    let model = unit(397);
+    let gain = model.base.gain_dn_per_e;
+    let mut plan = Plan::standard();
+    plan.full_exposure_s = Some(0.02);
+    let (flat, dark) =
+        (plan.sets[9].clone(), plan.sets.iter().find(|s| s.kind == Kind::Dark).unwrap().clone());
+    let set = |of: &SetPlan, k: u32| SetPlan {
+        frames: FRAMES,
+        exposure: Some(0.05 * f64::from(k + 1)),
+        exposure_s: None,
+        ..of.clone()
+    };
+    plan.sets = (0..16).flat_map(|k| [set(&flat, k), set(&dark, k)]).collect();
+    capture(with(model, "temporal-filter", &[0.4, 2.0, 2.0]), &plan, &root);
+    let table = std::fs::read_to_string(root.join("frames.csv")).unwrap();
+    let is_last = |k: usize| k == 0 || (k - 1) % FRAMES as usize >= FRAMES as usize - 2;
+    let kept: Vec<&str> =
+        table.lines().enumerate().filter(|(k, _)| is_last(*k)).map(|(_, line)| line).collect();
+    std::fs::write(root.join("frames.csv"), kept.join("\n") + "\n").unwrap();
+    let d = diagnose(&observe(&root), None, Vec::new(), &mut |_| {});
+    assert_eq!(d.missing[0].effect, "temporal-filter", "{:?}", d.missing);
+    let found = d.sensor.gain_dn_per_e.as_ref().unwrap();
+    assert!((found.value - gain).abs() < 4.0 * found.std_err + 0.03 * gain, "{found}, not {gain}");
+    let out = radcam(&["noise", root.to_str().unwrap()]);
+    assert!(String::from_utf8_lossy(&out.stdout).contains("shared noise"), "{out:?}");
 }
 
 /// Exposures in whole steps are named; the kind is right, or said as one of two that fit alike, and the step

@@ -76,7 +76,7 @@ fn average_last(n: usize, c: &Campaign, out: &mut Prediction) {
         s.unsure_var = libm::hypot(s.unsure_var, unsure);
         s.mix_in_time(less, &memory);
         // Means of whole codes lie 1/n of a code apart before rounding.
-        s.read.add_white((1.0 - less * less) / 12.0);
+        s.add_rounding((1.0 - less * less) / 12.0);
     }
     let mut last: VecDeque<f64> = VecDeque::new();
     let past = out.base.past_e.map(|past| past * out.base.gain_dn_per_e);
@@ -189,7 +189,7 @@ impl Added {
             let carried = slope * ((1.0 - slope) * (1.0 - a) + slope * a * v) / less;
             let memory: Vec<f64> = (0..8).map(|k| carried * libm::pow(a, f64::from(k))).collect();
             s.mix_in_time(less, &memory);
-            s.read.add_white(self.noise);
+            s.add_rounding(self.noise);
         } else {
             let (less, memory) = running_average(slope);
             s.mix_in_time(less, &memory);
@@ -394,6 +394,15 @@ impl Effect for TemporalFilter {
             (true, _) => "the mean is kept in parts of a code",
             _ => "the mean is kept in whole codes",
         })
+    }
+
+    /// The kinds of rounding move means alike, and take different shares of the noise.
+    fn forms_with_same_means(&self, p: &[f64]) -> Vec<Vec<f64>> {
+        if frames_of_mean(p).is_some() {
+            return Vec::new();
+        }
+        let others = [0.0, 1.0, 2.0].into_iter().filter(|kept| *kept != p[1]);
+        others.map(|kept| vec![p[0], kept, p[2]]).collect()
     }
 
     fn has_memory(&self) -> bool {

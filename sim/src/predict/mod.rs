@@ -237,7 +237,7 @@ impl Prediction {
                 kept = (1.0 - through) * (s.row.lag(0) + s.column.lag(0) + s.ripple(0.0) + lines);
                 s.shared(through);
             }
-            s.read.add_white(kept + square * rounded.variance);
+            s.add_rounding(kept + square * rounded.variance);
             s.unequal += square * square * rounded.unequal;
             s.fourth += square * square * rounded.fourth;
             s.signal += shifts[i];

@@ -193,6 +193,15 @@ impl SetPrediction {
         (self.shot_memory, self.read_memory) = (memory.to_vec(), memory.to_vec());
     }
 
+    /// Adds noise of rounding, which is white and differs from frame to frame: the read noise then has less in
+    /// common with that of other frames.
+    pub(crate) fn add_rounding(&mut self, variance: f64) {
+        let before = self.read.lag(0, 0);
+        self.read.add_white(variance);
+        let share = before / self.read.lag(0, 0).max(f64::MIN_POSITIVE);
+        self.read_memory.iter_mut().for_each(|r| *r *= share.clamp(0.0, 1.0));
+    }
+
     /// Returns the variance of the pixels' own noise.
     pub(crate) fn pixels(&self) -> f64 {
         self.shot.lag(0, 0) + self.read.lag(0, 0)

@@ -1,5 +1,6 @@
 //! Duplicate frames: temporal noise never repeats.
 
+use super::set_view::SetView;
 use super::{Campaign, Check, DataFault, FaultKind};
 use crate::statistics::median::median;
 use std::collections::BTreeMap;
@@ -14,6 +15,11 @@ const MAX_STAMP_SHARE: f64 = 0.01;
 const MIN_CHANGED_SHARE: f64 = 0.4;
 /// Minimum signal at which light alone makes frames differ, DN.
 const MIN_SIGNAL_DN: f64 = 20.0;
+/// Maximum difference of the levels of two sets of one level, DN, minimum difference of a pixel that rounding
+/// does not explain, DN, and minimum share of such pixels that hot pixels do not reach (named choices).
+const SAME_LEVEL_DN: f64 = 0.5;
+const MIN_STEP_DN: f32 = 2.0;
+const MIN_SHARE_APART: f64 = 0.03;
 
 /// Check for duplicate frames.
 pub struct CopiedFrames;
@@ -57,7 +63,9 @@ impl Check for CopiedFrames {
             let darker =
                 campaign.places(|_| true).into_iter().filter(|s| campaign.sets[*s].level_dn() <= level);
             let usual = median(darker.map(changes).filter(|c| c.is_finite()));
-            usual >= MIN_CHANGED_PIXELS || (view.facts.spread_dn2 > 0.0 && level - lowest > MIN_SIGNAL_DN)
+            usual >= MIN_CHANGED_PIXELS
+                || (view.facts.spread_dn2 > 0.0 && level - lowest > MIN_SIGNAL_DN)
+                || differs_from_another(campaign, set)
         };
         let mut frames: Vec<(usize, usize)> = copies.into_iter().filter(|(s, _)| has_noise(*s)).collect();
         let exact = frames.len();
@@ -79,6 +87,23 @@ impl Check for CopiedFrames {
         );
         vec![campaign.fault_of_frames(FaultKind::CopiedFrames, &frames, text)]
     }
+}
+
+/// Returns true if the frame of a set differs from that of another set of its level by more than rounding
+/// does: all darks of a campaign may be copied.
+fn differs_from_another(campaign: &Campaign<'_>, set: usize) -> bool {
+    let own = &campaign.sets[set];
+    let is_alike = |s: &SetView| {
+        s.number != own.number
+            && (s.level_dn() - own.level_dn()).abs() < SAME_LEVEL_DN
+            && s.facts.middle_dn.len() == own.facts.middle_dn.len()
+    };
+    let differ = |i: usize| {
+        let pairs = own.facts.middle_dn.iter().zip(&campaign.sets[i].facts.middle_dn);
+        let apart = pairs.filter(|(a, b)| (**a - **b).abs() >= MIN_STEP_DN).count();
+        apart as f64 > MIN_SHARE_APART * own.facts.middle_dn.len() as f64
+    };
+    campaign.places(is_alike).into_iter().any(differ)
 }
 
 /// Returns true if most pixels have a single code: saturated.

@@ -6,7 +6,10 @@ use super::campaign::median_line;
 use super::facts::{NEIGHBOURS_VAR, NEXT_VAR, Neighbours};
 use super::set_view::SetView;
 use crate::dataset::{Between, SharedNoise};
+use crate::statistics::between_sets::{MeanFrame, noise_over_that_within};
+use crate::statistics::jackknife::Value;
 use crate::statistics::median::{ERROR_OVER_MEAN, median};
+use crate::statistics::quantisation::SMALLEST_DARK_DN2;
 
 /// Minimum shared fraction of the noise that is reported: it equals the gain error (a named choice:
 /// twice the per cent that EMVA 1288 asks for). For frames, a settling lamp and a little lag look alike.
@@ -91,9 +94,59 @@ fn of_frames(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise> {
         Some((1.0 / dependence - 1.0, set.facts.pixels * triples))
     };
     let alike: Vec<(f64, f64)> = flats.iter().filter_map(own).collect();
+    if alike.is_empty() {
+        return of_pairs(campaign, flats);
+    }
     let rel = median(alike.iter().map(|a| a.0));
     // Error of a ratio of variances of successive frames and of those two apart.
     let samples: f64 = alike.iter().map(|a| a.1).sum();
     let std_err = ERROR_OVER_MEAN * (4.0 / samples).sqrt();
+    (rel > 0.0).then_some(SharedNoise { between: Between::Frames, rel, std_err })
+}
+
+/// Number of sets that tell the noise of one of them from set to set.
+const COMPARED: usize = 4;
+/// Error of the ratio of noise from set to set by levels and patterns that move (a named choice).
+const MOVES: f64 = 0.02;
+
+fn mean_of_pair(s: &SetView) -> MeanFrame<'_> {
+    MeanFrame {
+        mean_dn: &s.facts.middle_dn,
+        at: s.level_dn(),
+        frames: 2,
+        var_dn2: 2.0 * s.facts.middle_noise_dn2,
+    }
+}
+
+/// Returns the noise that the two frames of pairs share: from set to set, their means have (1 + r) / (1 - r)
+/// times the noise that their difference makes of it, for a correlation r.
+fn of_pairs(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise> {
+    let is_pair = |s: &SetView| {
+        s.frames() == 2 && s.facts.means_dn.len() == 2 && s.has_pattern() && s.facts.middle_noise_dn2 > 0.0
+    };
+    // A level that is carried over brings the pattern of the set before.
+    let is_still = |s: &SetView| {
+        s.own_scatter_dn().powi(2) < 2.0 * s.facts.middle_noise_dn2
+            && s.facts.middle_noise_dn2 > 0.5 * SMALLEST_DARK_DN2
+    };
+    let mut pairs: Vec<&SetView> = flats.iter().map(|&i| &campaign.sets[i]).collect();
+    pairs.retain(|s| is_pair(s) && is_still(s));
+    pairs.sort_by(|a, b| a.level_dn().total_cmp(&b.level_dn()));
+    let of_four = |sets: &[&SetView]| {
+        let all: Vec<MeanFrame<'_>> = sets.iter().map(|s| mean_of_pair(s)).collect();
+        let size = all[0].mean_dn.len();
+        let is_alike = sets.iter().all(|s| {
+            s.facts.middle_dn.len() == size
+                && s.configuration == sets[0].configuration
+                && s.part == sets[0].part
+        });
+        let all: Vec<&MeanFrame<'_>> = all.iter().collect();
+        is_alike.then(|| noise_over_that_within(&all, &vec![1.0; size]))?
+    };
+    let ratios: Vec<Value> = pairs.chunks_exact(COMPARED).filter_map(of_four).collect();
+    let ratio = median(ratios.iter().map(|v| v.value));
+    let error = median(ratios.iter().map(|v| v.std_err.hypot(MOVES * v.value)));
+    let std_err = ERROR_OVER_MEAN * error / (ratios.len() as f64).sqrt() * 2.0 / (ratio + 1.0).powi(2);
+    let rel = (ratio - 1.0) / (ratio + 1.0);
     (rel > 0.0).then_some(SharedNoise { between: Between::Frames, rel, std_err })
 }

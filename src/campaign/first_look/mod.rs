@@ -43,6 +43,19 @@ const MIN_DIM_REL: f64 = 0.2;
 /// Minimum deviation in standard errors of its mean.
 const MIN_DIM_SIGMAS: f64 = 6.0;
 
+/// Numbers of frames of sets whose means are compared from set to set: the frames of longer ones are compared
+/// with each other.
+const FEW: std::ops::RangeInclusive<usize> = 2..=3;
+/// Number of pixels of which the mean is kept: enough to know a noise to half a per cent.
+const MIDDLE_PIXELS: usize = 1 << 15;
+
+/// Returns the range of the pixels in the middle rows of a frame of (rows, columns).
+pub(crate) fn middle((rows, columns): (usize, usize)) -> std::ops::Range<usize> {
+    let number = MIDDLE_PIXELS.div_ceil(columns.max(1)).min(rows);
+    let first = (rows - number) / 2;
+    first * columns..(first + number) * columns
+}
+
 /// Findings from the first frames of a set.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Look {
@@ -57,6 +70,9 @@ pub struct Look {
     jumping: Vec<usize>,
     /// Mean of a dark set, DN.
     dark: Option<Array2<f32>>,
+    /// Mean of the pixels in the [`middle`] of a set of few frames, DN.
+    #[serde(default)]
+    middle: Option<Vec<f32>>,
     /// Mean and temporal variance of the first two frames.
     pair: Option<(f64, f64)>,
     /// Pixels of a flat set far below the median, with their means, DN.
@@ -84,12 +100,19 @@ impl Look {
         self.pair.map(|pair| pair.1)
     }
 
+    /// Returns the mean of the pixels in the [`middle`] of a set of few frames, DN.
+    pub(crate) fn middle_mean(&self) -> Option<&[f32]> {
+        self.middle.as_deref()
+    }
+
     /// Returns true if it is consistent with frames of (rows, columns).
     pub fn fits(&self, shape: (usize, usize)) -> bool {
         let low = self.low.iter().map(|(i, _)| i);
         let pixels = self.clipped.iter().chain(&self.jumping).chain(self.filled.iter().flatten());
         let pixels = pixels.chain(low).chain(&self.dim);
-        pixels.copied().all(|i| i < shape.0 * shape.1) && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
+        pixels.copied().all(|i| i < shape.0 * shape.1)
+            && self.middle.as_ref().is_none_or(|m| m.len() == middle(shape).len())
+            && self.dark.as_ref().is_none_or(|d| d.dim() == shape)
     }
 }
 
@@ -157,6 +180,10 @@ fn look(dataset: &Dataset, set: usize, full: u16) -> Result<Look, ExamineError> 
         }
     }
     out.apart = Some((kind == Kind::Dark, outliers::apart(&block)));
+    if rows.len() == set.rows.len() && block.len() == rows.len() && FEW.contains(&rows.len()) {
+        let all = sum.as_slice().and_then(|s| s.get(middle(sum.dim())));
+        out.middle = all.map(|s| s.iter().map(|v| v / rows.len() as f32).collect());
+    }
     out.dark = (kind == Kind::Dark).then(|| sum / rows.len().max(1) as f32);
     if let (Some(dark), Some((_, var))) = (&out.dark, out.pair) {
         out.jumping = jumping(dark, &block, var);

@@ -9,6 +9,8 @@
 
 use crate::fit::cholesky::Factor;
 use crate::inference::Residual;
+use crate::observables::Statistic;
+use crate::observables::from_set_to_set::FromSetToSet;
 use std::collections::BTreeMap;
 
 /// Number of cosines, including the constant.
@@ -21,8 +23,10 @@ const SIZES: [f64; 12] = [0.15, 0.3, 0.6, 1.2, 2.5, 5.0, 10.0, 30.0, 100.0, 300.
 pub fn evidence(residuals: &[Residual], observations: f64) -> f64 {
     let mut of: BTreeMap<&str, Vec<&Residual>> = BTreeMap::new();
     residuals.iter().for_each(|r| of.entry(r.observable.as_str()).or_default().push(r));
-    // Statistics of the whole campaign have one value in each half, and no level.
-    let of_levels = of.values().filter(|rows| rows.iter().any(|r| r.set.is_some()));
+    // Statistics of the whole campaign have one value in each half, and no level. Frames that are alike are
+    // no function of the level.
+    let has_levels = |r: &&Residual| r.set.is_some() && r.statistic != FromSetToSet.id();
+    let of_levels = of.values().filter(|rows| rows.iter().any(has_levels));
     of_levels.map(|rows| (smooth(rows).max(of_sets(rows)) - observations.ln()).max(0.0)).sum()
 }
 
@@ -81,7 +85,7 @@ fn gain(squares: &[[f64; TERMS]; TERMS], with: &[f64; TERMS], variance: f64) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observables::{Statistic, mean};
+    use crate::observables::mean;
     use radcam_sim::rng::{PixelRng, Stream};
 
     fn rows(seed: u64, off: impl Fn(f64) -> f64) -> Vec<Residual> {

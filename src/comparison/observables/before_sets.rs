@@ -1,6 +1,6 @@
 //! Exposures before the sets of a campaign that are not in the files, from the carry-over in first frames.
 
-use super::{Observable, Statistic, frame_scatter, mean, settling, successive, variance};
+use super::{Observable, Statistic, frame_scatter, from_set_to_set, mean, settling, successive, variance};
 use crate::dataset::{FrameRow, Kind};
 use crate::statistics::correlated_frames::CorrelatedFrames;
 use crate::statistics::median::median;
@@ -94,7 +94,8 @@ pub(super) fn of(
         let weight_of_share = weight * kept_by_few(n as f64).powi(2);
         (sum, weights) = (sum + weight_of_share * share_of(product / weight, n), weights + weight_of_share);
     }
-    let (share, error) = (sum / weights, weights.sqrt().recip());
+    let in_pairs = if weights == 0.0 { of_pairs(list) } else { None };
+    let (share, error) = in_pairs.unwrap_or((sum / weights, weights.sqrt().recip()));
     let first = |o: &Observable| {
         let set = set_of(o, &settling::Settling).filter(|s| *s > 0 && o.index == 0)?;
         let scatter = list.iter().filter(|v| v.is(&frame_scatter::FrameScatter) && v.set == Some(set));
@@ -127,10 +128,13 @@ pub(super) fn of(
         let sure = |n: u8| MAX_REL.max(3.0 * f64::from(n + 1) * error / share);
         (0..=MOST_DISCARDED).find(|n| off(*n) < sure(*n)).filter(|n| *n > 0).map(Before::Discarded)
     };
-    let before = if let Some(found) =
-        (share > CARRIES * error && share < MAX_SHARE && of_set > CARRIES * uncertain)
-            .then(discarded)
-            .flatten()
+    let before = if in_pairs.is_some() {
+        let is_settled = share > CARRIES * error
+            && step_in_pairs(list, &levels).is_some_and(|step| step < MAX_REL * share * (1.0 - share));
+        if is_settled { Before::Level } else { Before::Frame }
+    } else if let Some(found) = (share > CARRIES * error && share < MAX_SHARE && of_set > CARRIES * uncertain)
+        .then(discarded)
+        .flatten()
     {
         found
     } else if share > CARRIES * error && of_set.abs().max(uncertain) < MAX_REL * share {
@@ -141,6 +145,33 @@ pub(super) fn of(
         Before::Frame
     };
     (before, Some(share).filter(|s| *s > CARRIES * error))
+}
+
+/// Returns the correlation of the two frames of pairs, with its error, from the noise of the means of darks:
+/// means of two frames with correlation r have (1 + r) / (1 - r) times the noise that their difference makes
+/// of it. `None` if no darks tell it.
+fn of_pairs(list: &[Observable]) -> Option<(f64, f64)> {
+    let ratios = list.iter().filter(|o| o.is(&from_set_to_set::FromSetToSet));
+    let ratios = ratios.filter(|o| o.frames.1 - o.frames.0 == 2 && o.measured.std_err > 0.0);
+    let (sum, weights) = ratios.fold((0.0, 0.0), |(sum, weights), o| {
+        let weight = o.measured.std_err.powi(-2);
+        (sum + weight * o.measured.value, weights + weight)
+    });
+    let ratio = (weights > 0.0).then(|| sum / weights)?;
+    Some(((ratio - 1.0) / (ratio + 1.0), 2.0 / (ratio + 1.0).powi(2) / weights.sqrt()))
+}
+
+/// Returns the usual difference of the two frames of pairs, relative to the change of level before them.
+fn step_in_pairs(list: &[Observable], levels: &[Option<f64>]) -> Option<f64> {
+    let mut steps = Vec::new();
+    for o in list.iter().filter(|o| o.is(&mean::Mean) && o.frames.1 - o.frames.0 == 2) {
+        let before = o.set.and_then(|s| s.checked_sub(1)).and_then(|s| levels[s]);
+        let Some(change) = before.map(|before| (before - o.measured.value).abs()) else { continue };
+        steps.push(((2.0 * o.frame_means.1.max(0.0)).sqrt(), change));
+    }
+    let most = steps.iter().map(|s| s.1).fold(0.0, f64::max);
+    steps.retain(|s| s.1 > MAX_REL * most);
+    (most > 0.0).then(|| median(steps.iter().map(|s| s.0 / s.1)))
 }
 
 /// Returns a note for the reader; `None` if each set follows the one before it.

@@ -609,6 +609,27 @@ impl<'a> View<'a> {
         CorrelatedFrames::new(self.frames.len(), rho).product()
     }
 
+    /// Returns the variance of the mean of these frames, times their number, over their variance about the
+    /// mean; 1 for independent frames.
+    pub fn noise_of_mean(&self) -> f64 {
+        let Some(s) = self.set() else { return 1.0 };
+        let (shot, read) = self.pixels();
+        let jumps = s.two_levels;
+        let jumping = jumps.share * jumps.variance;
+        let stays = |k: usize| jumps.stays.powi(k as i32);
+        let of = |memory: &[f64], apart: usize| memory.get(apart - 1).copied().unwrap_or(0.0);
+        let frames = |rho: &dyn Fn(usize) -> f64| CorrelatedFrames::new(self.frames.len(), rho);
+        let all = [
+            (shot, frames(&|k| of(&s.shot_memory, k))),
+            ((read - jumping).max(0.0), frames(&|k| of(&s.read_memory, k))),
+            (jumping, frames(&stays)),
+        ];
+        let n = self.frames.len() as f64;
+        let between: f64 = all.iter().map(|(v, f)| v * n * f.of_mean()).sum();
+        let within: f64 = all.iter().map(|(v, f)| v * f.left()).sum();
+        between / within.max(1e-9)
+    }
+
     /// Returns the correlations of the pixels' noise in these frames; `None` for independent frames.
     fn correlated(&self) -> Option<CorrelatedFrames> {
         let s = self.set().filter(|s| !s.shot_memory.is_empty() || !s.read_memory.is_empty())?;

@@ -176,6 +176,11 @@ impl ChunkView<'_> {
         (self.rows[0], self.rows[self.chunk.from] + self.chunk.summary.frames)
     }
 
+    /// Returns the noise of the means from set to set over that within.
+    fn from_set_to_set(&self) -> Option<Value> {
+        self.chunk.from_set_to_set
+    }
+
     /// Returns the share of occurring codes around the level, and its error.
     fn codes_used(&self) -> Option<(f64, f64)> {
         self.chunk.codes_used
@@ -345,6 +350,7 @@ statistics! {
     halves::Halves
     covariance::Covariance
     successive::Successive
+    from_set_to_set::FromSetToSet
     unequal::Unequal
     noisy_levels::NoisyLevels
     growth::Growth

@@ -7,18 +7,21 @@ use super::campaign::is_quiet;
 use super::left_out::words;
 use super::{Half, ObserveError, STATISTICS, SUMMED, codes};
 use crate::dataset::{Dataset, Key, Kind, Reduced, Set};
-use crate::first_look::{FIRST, Look, Seen};
+use crate::first_look::{FIRST, Look, Seen, middle};
+use crate::statistics::between_sets::{MeanFrame, noise_over_that_within};
 use crate::statistics::covariance::LAGS;
 use crate::statistics::jackknife::Value;
 use crate::statistics::layout::Layout;
 use crate::statistics::outliers;
 use crate::statistics::pass::{Pass, Summary};
 use crate::statistics::powers::Powers;
+use crate::statistics::quantisation::SMALLEST_DARK_DN2;
 use crate::statistics::spectrum::Power;
 use crate::statistics::steady::{Group, Levels, PixelNoise, Steady};
 use ndarray::Array2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -41,6 +44,10 @@ pub struct Chunk {
     pub before: Option<f64>,
     /// Share of occurring codes around the level, and its error.
     pub codes_used: Option<(f64, f64)>,
+    /// Noise of the means of this and a few other sets of few frames over that within them; of the whole
+    /// campaign, and not stored with the chunk.
+    #[serde(skip)]
+    pub from_set_to_set: Option<Value>,
     pub summary: Summary,
     /// Variance of every pixel of short darks until they are summed up, DN^2.
     var_dn2: Vec<f32>,
@@ -473,6 +480,7 @@ impl<'a, 'b> Reader<'a, 'b> {
                 half: p.half,
                 before,
                 codes_used,
+                from_set_to_set: None,
                 summary,
                 var_dn2,
                 single: pass.single_pixels(),
@@ -593,6 +601,7 @@ pub fn read(
     drop(reader);
     dataset.forget_frames();
     sums.chunks.retain(|c| sums.saturated.iter().all(|s| s.set != c.set));
+    compare_means(&mut sums.chunks, dataset, &seen);
     let mut left_out = words(dataset, &sums.left_out);
     if seen.filled > 0 {
         left_out.push(format!(
@@ -615,6 +624,61 @@ pub fn read(
         lines: sums.lines,
         saturated: sums.saturated,
     })
+}
+
+/// Number of darks and of flats whose means are compared at a time.
+const COMPARED: [usize; 2] = [3, 4];
+/// Maximum level of flats that are compared, relative to the brightest: wells that fill, and converters that
+/// clip, change the fixed pattern (a named choice).
+const MAX_LEVEL: f64 = 0.75;
+/// Maximum variance of the frame means, relative to that of a pixel: a level that is carried over from the
+/// set before brings the pattern of that set, some tenths of itself (a named choice).
+const MAX_MOVE: f64 = 0.5;
+
+/// Compares the means of sets of few frames of one half: darks in the order of their exposures, flats of one
+/// position of the light in the order of their levels.
+fn compare_means(chunks: &mut [Chunk], dataset: &Dataset, seen: &Seen) {
+    let settings = |c: &Chunk| dataset.settings(&dataset.sets()[c.set]);
+    let level = |c: &Chunk| c.summary.frame_means.mean_dn() - seen.zero_dn;
+    let brightest = chunks.iter().map(level).fold(0.0, f64::max);
+    let lights: BTreeSet<u32> =
+        chunks.iter().filter(|c| settings(c).kind == Kind::Flat).map(|c| settings(c).configuration).collect();
+    let groups = std::iter::once((Kind::Dark, None)).chain(lights.into_iter().map(|l| (Kind::Flat, Some(l))));
+    for (half, (kind, light)) in groups.flat_map(|group| Half::TURNS.map(|half| (half, group))) {
+        let is_compared = |c: &Chunk| {
+            let set = &dataset.sets()[c.set];
+            settings(c).kind == kind
+                && light.is_none_or(|light| settings(c).configuration == light)
+                && c.half == half
+                && c.summary.frames == set.rows.len()
+                && c.summary.var.value > SMALLEST_DARK_DN2
+                && c.summary.frame_means.variance_dn2() < MAX_MOVE * c.summary.var.value
+                && (kind == Kind::Dark || level(c) < MAX_LEVEL * brightest)
+        };
+        let mean = |place: usize| -> Option<(usize, MeanFrame<'_>)> {
+            let c = &chunks[place];
+            let own = MeanFrame {
+                mean_dn: seen.looks.get(c.set)?.middle_mean()?,
+                at: if kind == Kind::Dark { settings(c).exposure_s } else { level(c) },
+                frames: c.summary.frames,
+                var_dn2: c.summary.var.value,
+            };
+            Some((place, own))
+        };
+        let mut means: Vec<(usize, MeanFrame<'_>)> =
+            (0..chunks.len()).filter(|i| is_compared(&chunks[*i])).filter_map(mean).collect();
+        means.sort_by(|a, b| a.1.at.total_cmp(&b.1.at));
+        let mask = &seen.layout.mask[middle(seen.layout.shape)];
+        let number = COMPARED[usize::from(kind == Kind::Flat)];
+        let found: Vec<(usize, Option<Value>)> = means
+            .chunks_exact(number)
+            .map(|sets| {
+                let all: Vec<&MeanFrame<'_>> = sets.iter().map(|s| &s.1).collect();
+                (sets[1].0, noise_over_that_within(&all, mask))
+            })
+            .collect();
+        found.into_iter().for_each(|(place, value)| chunks[place].from_set_to_set = value);
+    }
 }
 
 /// Returns the statistics of the pieces of the wanted sets, for storage. `progress` is told (pieces done,
