@@ -65,13 +65,20 @@ pub(crate) fn cut(mean: f64, variance: f64, limit: f64) -> Clipped {
     }
 }
 
-/// Soft limit above a knee: v' = limit - w exp(-(v - knee) / w), w = limit - knee. A named choice of shape,
-/// with the slope 1 at the knee; wells that fill slowly have other shapes.
+/// Soft limit. Above a knee: v' = limit - w exp(-(v - knee) / w), w = limit - knee, with the slope 1 at the
+/// knee. Without one: v' = v / (1 + (v / limit)^power)^(1 / power), which approaches the limit from the
+/// start. Both are named choices of shape; wells that fill slowly have others.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SoftLimit {
-    pub knee: f64,
-    pub limit: f64,
+    /// Value below which nothing changes.
+    knee: f64,
+    limit: f64,
+    /// Power of the limit without a knee.
+    power: Option<f64>,
 }
+
+/// Relative change that is nothing (a named choice, far below the rule's error).
+const UNCHANGED: f64 = 1e-7;
 
 /// Number of intervals of the trapezoidal rule over normal noise. The rule's error decreases faster than any
 /// power of the step for smooth curves (Trefethen and Weideman 2014). For the sharpest limit allowed, the
@@ -81,8 +88,22 @@ const NOISE_NODES: i32 = 40;
 const NOISE_REACH: f64 = 5.0;
 
 impl SoftLimit {
+    /// Returns the limit above a knee.
+    pub fn above(knee: f64, limit: f64) -> Self {
+        Self { knee, limit, power: None }
+    }
+
+    /// Returns the limit without a knee.
+    pub fn gradual(limit: f64, power: f64) -> Self {
+        Self { knee: limit * libm::pow(UNCHANGED * power, power.recip()), limit, power: Some(power) }
+    }
+
     /// Returns the value after the limit.
     pub fn of(&self, value: f64) -> f64 {
+        if let Some(power) = self.power {
+            let filled = libm::pow(value.max(0.0) / self.limit, power);
+            return value * libm::exp(-libm::log1p(filled) / power);
+        }
         let rest = self.limit - self.knee;
         let over = value - self.knee;
         if over <= 0.0 {
@@ -96,6 +117,10 @@ impl SoftLimit {
 
     /// Returns the slope at a value, between 0 and 1.
     fn slope(&self, value: f64) -> f64 {
+        if let Some(power) = self.power {
+            let filled = libm::pow(value.max(0.0) / self.limit, power);
+            return libm::exp(-(1.0 + power.recip()) * libm::log1p(filled));
+        }
         let rest = self.limit - self.knee;
         let over = value - self.knee;
         if over <= 0.0 { 1.0 } else { libm::exp(-over / rest.max(1e-300)) }
@@ -187,7 +212,7 @@ mod tests {
             ((100.0, 100.0, 90.0, 110.0), [96.489_045_489, 43.082_508_289, 2_078.228_208_9, 0.366_110_010]),
         ];
         for ((mean, variance, knee, limit), [m, v, fourth, lost]) in known {
-            let got = SoftLimit { knee, limit }.cut(mean, variance);
+            let got = SoftLimit::above(knee, limit).cut(mean, variance);
             let sd = f64::sqrt(variance);
             // Error of a kink between two nodes of the rule: 1e-3 of the noise.
             assert!((got.mean - m).abs() < 1e-3 * sd, "{} {m}", got.mean);
@@ -195,6 +220,32 @@ mod tests {
             assert!((got.fourth - fourth).abs() < 5e-3 * variance * variance, "{} {fourth}", got.fourth);
             assert!((got.above - lost).abs() < 5e-3, "{} {lost}", got.above);
         }
+    }
+
+    /// Slope and value of the limit without a knee: those of its definition; mean and variance of normal
+    /// noise as sums over 20 000 steps give them.
+    #[test]
+    fn a_gradual_limit_is_its_definition() {
+        let (limit, power) = (100.0f64, 6.0f64);
+        let soft = SoftLimit::gradual(limit, power);
+        for v in [-5.0f64, 20.0, 80.0, 100.0, 150.0] {
+            let own = v / (1.0 + (v.max(0.0) / limit).powf(power)).powf(power.recip());
+            assert!((soft.of(v) - own).abs() < 1e-9, "{v}");
+            let slope = (soft.of(v + 1e-4) - soft.of(v - 1e-4)) / 2e-4;
+            assert!((soft.slope(v) - slope).abs() < 1e-6, "{v}: {} {slope}", soft.slope(v));
+        }
+        let (mean, sd) = (95.0, 6.0);
+        let got = soft.cut(mean, sd * sd);
+        let (mut share, mut first, mut second) = (0.0, 0.0, 0.0);
+        for k in -10_000..=10_000 {
+            let x = 6.0 * f64::from(k) / 10_000.0;
+            let weight = f64::exp(-0.5 * x * x);
+            let v = soft.of(mean + sd * x);
+            (share, first, second) = (share + weight, first + weight * v, second + weight * v * v);
+        }
+        let (m, v) = (first / share, second / share - (first / share).powi(2));
+        assert!((got.mean - m).abs() < 1e-4 && (got.variance / v - 1.0).abs() < 1e-3, "{got:?} {m} {v}");
+        assert_eq!(soft.cut(0.2, 0.0001).above, 0.0);
     }
 
     /// Compared with numerical integration of min(x, limit) by scipy 1.14.

@@ -7,7 +7,7 @@ use super::jackknife::Value;
 pub(crate) struct MeanFrame<'a> {
     /// Mean over the frames, DN.
     pub mean_dn: &'a [f32],
-    /// What the fixed pattern follows: exposure of a dark, level of a flat.
+    /// Exposure of a dark or level of a flat, which the fixed pattern follows.
     pub at: f64,
     /// Number of frames.
     pub frames: usize,

@@ -13,9 +13,16 @@ const FULL: usize = 0;
 const SHAPE: usize = 1;
 const SOFTNESS: usize = 2;
 
-/// Returns the limit of a well that fills slowly above a knee; `None` if it is hard.
+/// Minimum softness of a well without a knee: the power is its reciprocal.
+const MIN_SOFTNESS: f64 = 0.02;
+
+/// Returns the limit of a well that fills slowly; `None` if it is hard.
 fn soft(p: &[f64]) -> Option<SoftLimit> {
-    (p[SHAPE].round() as i32 == 1).then(|| SoftLimit { knee: p[FULL] * (1.0 - p[SOFTNESS]), limit: p[FULL] })
+    match p[SHAPE].round() as i32 {
+        1 => Some(SoftLimit::above(p[FULL] * (1.0 - p[SOFTNESS]), p[FULL])),
+        2 => Some(SoftLimit::gradual(p[FULL], p[SOFTNESS].max(MIN_SOFTNESS).recip())),
+        _ => None,
+    }
 }
 
 impl Effect for FullWellSaturation {
@@ -43,15 +50,15 @@ impl Effect for FullWellSaturation {
             },
             Parameter {
                 name: "shape",
-                meaning: "0: hard, 1: soft, the last part of the well fills ever more slowly",
+                meaning: "0: hard, 1: soft, the last part of the well fills ever more slowly, 2: soft without a knee",
                 unit: "choice",
                 min: 0.0,
-                max: 1.0,
-                starts: &[0.0, 1.0],
+                max: 2.0,
+                starts: &[0.0, 1.0, 2.0],
             },
             Parameter {
                 name: "softness",
-                meaning: "shape 1: part of the well above the knee",
+                meaning: "shape 1: part of the well above the knee, 2: reciprocal of the power",
                 unit: "1",
                 min: 0.0,
                 max: 0.5,
@@ -66,7 +73,11 @@ impl Effect for FullWellSaturation {
     }
 
     fn form(&self, p: &[f64]) -> Option<&'static str> {
-        soft(p).map(|_| "a soft knee: the last part of the well fills ever more slowly")
+        match p[SHAPE].round() as i32 {
+            1 => Some("a soft knee: the last part of the well fills ever more slowly"),
+            2 => Some("a well that fills ever more slowly, without a knee"),
+            _ => None,
+        }
     }
 
     /// Returns starts near the brightest level.
@@ -79,7 +90,10 @@ impl Effect for FullWellSaturation {
         let soft = [0.95, 1.0, 1.03, 1.1]
             .into_iter()
             .flat_map(|part| [0.08, 0.15, 0.25].map(|softness| vec![part * peak_e, 1.0, softness]));
-        hard.chain(soft.filter(|start| !seen.exceeds(start[FULL]))).collect()
+        let gradual = [1.0, 1.15, 1.4]
+            .into_iter()
+            .flat_map(|part| [0.08, 0.15, 0.25].map(|softness| vec![part * peak_e, 2.0, softness]));
+        hard.chain(soft.chain(gradual).filter(|start| !seen.exceeds(start[FULL]))).collect()
     }
 
     fn contradicted(&self, p: &[f64], _: &[f64], seen: &Seen) -> Option<&'static str> {
@@ -97,7 +111,7 @@ impl Effect for FullWellSaturation {
     fn page(&self) -> Page {
         Page {
             what: "The well of a pixel is full: more light brings no more charge.",
-            equation: "shape 0: q' = min(q, W), W = full well; 1: W - w exp(-(q - k) / w) above the knee k = W (1 - softness), w = W - k",
+            equation: "shape 0: q' = min(q, W), W = full well; 1: W - w exp(-(q - k) / w) above the knee k = W (1 - softness), w = W - k; 2: q / (1 + (q / W)^p)^(1 / p), p = 1 / softness",
             signature: "the mean stops and the variance falls to the read noise at one level, below the largest code",
             look_alikes: "clipping of the converter stops at the largest code; a bend goes on rising",
             remedy: "use the range below the turn-off",

@@ -193,8 +193,8 @@ impl SetPrediction {
         (self.shot_memory, self.read_memory) = (memory.to_vec(), memory.to_vec());
     }
 
-    /// Adds noise of rounding, which is white and differs from frame to frame: the read noise then has less in
-    /// common with that of other frames.
+    /// Adds noise of rounding, which is white and differs from frame to frame: the read noise then has less
+    /// in common with that of other frames.
     pub(crate) fn add_rounding(&mut self, variance: f64) {
         let before = self.read.lag(0, 0);
         self.read.add_white(variance);

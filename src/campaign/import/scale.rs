@@ -99,6 +99,9 @@ const MIN_RANGE_OF_MEANS: f64 = 4.0;
 const MIN_FRACTIONAL_SHARE: f64 = 0.1;
 const MAX_OFF_WHOLE: f64 = 0.02;
 
+/// Codes by which negative values are lifted: what a subtracted dark leaves, a subtracted black level, and
+/// the middle of signed 16-bit samples (FITS Standard 4.0, section 4.4.2.5: BZERO 32768).
+const LIFTS: [f64; 3] = [256.0, 4096.0, 32_768.0];
 /// Minimum temporal noise, in file units, at which floating-point numbers are rounded to whole codes:
 /// quantisation is then at most a twelfth of the noise, and is accounted for (q^2/12).
 const MIN_NOISE_OF_WHOLE_CODES: f64 = 1.0;
@@ -279,9 +282,14 @@ impl Census {
         // Single precision leaves small errors on a whole step.
         let step = if (step - step.round()).abs() < 1e-6 * step { step.round() } else { step };
         let zero = if zero.abs() < 1e-6 * step { 0.0 } else { zero };
-        // Negative values are lifted to codes by a round number.
+        // Negative values are lifted to codes by one of a few numbers: two folders of a camera get the same
+        // one, whatever their darkest sample is.
         let below = ((least - zero) / step).round();
-        let lift = if below < 0.0 { (-below / 100.0).ceil() * 100.0 } else { 0.0 };
+        let lift = if below < 0.0 {
+            LIFTS.into_iter().find(|lift| -below <= *lift).unwrap_or((-below).ceil())
+        } else {
+            0.0
+        };
         let scale = Scale { step, zero: zero - lift * step };
         let highest = scale.of(most).round();
         if highest > 65_535.0 {
@@ -353,8 +361,8 @@ mod tests {
     fn numbers_get_the_scale_that_fits() {
         for (of, step, zero) in [
             // Overscan subtracted.
-            ((|v| v - 50.5) as fn(f64) -> f64, 1.0, -100.5),
-            (|v| v - 150.0, 1.0, -200.0),
+            ((|v| v - 50.5) as fn(f64) -> f64, 1.0, -256.5),
+            (|v| v - 150.0, 1.0, -256.0),
             // With noise of 8 and steps of 0.25, whole codes are fine enough; with noise of 0.02 they
             // are not.
             (|v| 4.0 * v + 0.25 * (v % 3.0), 1.0, 0.0),

@@ -31,7 +31,7 @@ const RIVALS: usize = 4;
 /// named choice: on the 182 cameras of docs/CONFUSION.md as many are right, unknown and wrong as without it.
 const NO_RIVAL: f64 = 0.03;
 /// Maximum number of forms of an effect that are fitted: of a candidate, and of the most promising one.
-const FORMS: [usize; 2] = [3, 10];
+const FORMS: [usize; 2] = [3, 11];
 /// Minimum size that is something, in standard errors: 0 is rejected at 1 in 80.
 const KNOWN: f64 = 2.5;
 /// Minimum size, in standard errors, of the scatter of settings or of frames, of which there may be two.
