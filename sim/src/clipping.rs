@@ -244,7 +244,12 @@ mod tests {
             (share, first, second) = (share + weight, first + weight * v, second + weight * v * v);
         }
         let (m, v) = (first / share, second / share - (first / share).powi(2));
-        assert!((got.mean - m).abs() < 1e-4 && (got.variance / v - 1.0).abs() < 1e-3, "{got:?} {m} {v}");
+        assert!(
+            (got.mean - m).abs() < 1e-4 && (got.variance / v - 1.0).abs() < 1e-3,
+            "{} {m} {} {v}",
+            got.mean,
+            got.variance
+        );
         assert_eq!(soft.cut(0.2, 0.0001).above, 0.0);
     }
 

@@ -341,6 +341,18 @@ fn what_fails_silently_is_true_or_refused_by_name() {
     assert_eq!(e.limits["sigma_d"], Limit::AtMost);
     assert!(e.quantities["sigma_d"].as_ref().unwrap().value > sigma);
 
+    // A lamp that flickers: the formula takes the scatter of whole frames for noise of the pixels.
+    let mut model = specimen(3);
+    let truth = 100.0 * model.base.sigma_k;
+    model = crate::effects::with(model, "illumination-flicker", &[0.02, 0.0]);
+    let e = measured(model, &plan(), &at("flicker")).unwrap();
+    let q = e.quantities["PRNU1288"].as_ref();
+    let note = e.notes.iter().find(|n| n.starts_with("PRNU1288 is too low")).unwrap();
+    let own: f64 =
+        note.split("Without that it is ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    assert!(q.is_none_or(|q| q.value < 0.97 * truth), "{q:?}, truth {truth}");
+    assert!((own / truth - 1.0).abs() < 0.06, "{note}, truth {truth}");
+
     // Saturation between two of twelve exposures.
     let model = specimen(3);
     let sat = saturation(&model);

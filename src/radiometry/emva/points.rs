@@ -79,6 +79,8 @@ pub struct Spatial {
     pub sum_dn: Array2<i64>,
     /// Mean temporal variance of the pixels, DN^2 (sigma_y.stack^2).
     pub stack_var_dn2: f64,
+    /// Variance of the means of whole frames, DN^2, which is in that of the pixels.
+    pub frame_var_dn2: f64,
 }
 
 impl Spatial {
@@ -241,6 +243,7 @@ fn stack(
     if let Some(moments) = moments {
         moments.reset();
     }
+    let mut means_dn = Vec::with_capacity(set.rows.len());
     // A few frames at a time: memory does not grow with their number.
     for rows in set.rows.chunks(AT_ONCE) {
         if stop.load(Ordering::Relaxed) {
@@ -249,6 +252,8 @@ fn stack(
         let frames = buffers.par_iter_mut().zip(rows);
         frames.try_for_each(|(buffer, &r)| read_part(dataset, r, buffer, part))?;
         let codes: Vec<&[u16]> = buffers[..rows.len()].iter().map(Buffer::dn).collect();
+        let mean_dn = |dn: &&[u16]| dn.iter().map(|v| u64::from(*v)).sum::<u64>() as f64 / dn.len() as f64;
+        means_dn.extend(codes.par_iter().map(mean_dn).collect::<Vec<f64>>());
         // Allocated only now: frames were read, so that the size that the manifest claims is theirs.
         let moments = moments.get_or_insert_with(|| Moments::new(shape, camera.bit_depth));
         moments.add(&codes).map_err(|e| EmvaError::Missing(e.to_string()))?;
@@ -257,11 +262,14 @@ fn stack(
     let moments = moments.get_or_insert_with(|| Moments::new(shape, camera.bit_depth));
     let n = moments.frames() as f64;
     let sums = moments.sums().iter().map(|&s| s as i64).collect();
+    let mean_dn = means_dn.iter().sum::<f64>() / n;
+    let frame_var_dn2 = means_dn.iter().map(|m| (m - mean_dn).powi(2)).sum::<f64>() / (n - 1.0);
     Ok(Spatial {
         photons,
         frames: moments.frames(),
         sum_dn: Array2::from_shape_vec(shape, sums).map_err(|e| EmvaError::Missing(e.to_string()))?,
         stack_var_dn2: moments.total_spread_dn2() / (n * (n - 1.0)) / moments.sums().len() as f64,
+        frame_var_dn2,
     })
 }
 

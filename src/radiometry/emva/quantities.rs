@@ -514,6 +514,10 @@ const BELOW_ZERO: f64 = 3.0;
 /// brighter ones).
 const HALF_OF_SATURATION: std::ops::RangeInclusive<f64> = 0.25..=0.875;
 
+/// Minimum share of PRNU that is said to be missing under a lamp that flickers (a named choice: a fifth of
+/// what a sheet is asked to be right to).
+const MAX_LACK: f64 = 0.02;
+
 fn is_tool(definitions: Definitions) -> bool {
     definitions == Definitions::ReferenceTool
 }
@@ -588,6 +592,18 @@ fn nonuniformity(points: &Points, definitions: Definitions, clipped: bool, k: &V
             Value::of(&[bright, dark], |v| 100.0 * root(v[0] - v[1]) / light)
         };
         sheet.put(&format!("PRNU1288{part}"), &prnu, "%");
+        // The noise that all pixels of a frame share is in the temporal variance, and not in the mean image.
+        let shared_dn2 = stacks[0].frame_var_dn2 / stacks[0].frames as f64;
+        let own = 100.0 * root(bright.value - dark.value + shared_dn2) / light;
+        let is_right = prnu.value >= (1.0 - MAX_LACK) * own;
+        if i == 0 && own.is_finite() && far.is_none() && !is_right {
+            let set = points.bright.map_or_else(String::new, |b| format!(" of set {}", b.set));
+            sheet.note(format!(
+                "PRNU1288 is too low: the means of the frames{set} scatter by {:.2} % (a lamp that flickers), which the standard's formula (eq. 66) takes \
+                 for noise of the pixels. Without that it is {own:.3} %; take the stack under a steady light, or more frames",
+                100.0 * stacks[0].frame_var_dn2.sqrt() / light
+            ));
+        }
         let named = |v: &Value| format!("{} DN²", crate::number::with_error(v.value, v.std_err()));
         if dark.value < 0.0 && !clipped {
             sheet.note(format!(
