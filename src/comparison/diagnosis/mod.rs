@@ -384,7 +384,9 @@ fn missing(
         }
     }
     costliest_first(&mut out);
-    let place = place_of_unknown(parts, first_in_doubt.as_deref(), left, [first.error, last.error]);
+    let largest = out.iter().map(|m| m.share).fold(0.0, f64::max);
+    let place =
+        place_of_unknown(parts, first_in_doubt.as_deref(), (left, largest), [first.error, last.error]);
     if place == Place::Nowhere {
         return out;
     }

@@ -12,6 +12,9 @@ use serde::{Deserialize, Serialize};
 pub(super) const MATTERS: f64 = 0.01;
 /// Minimum share of the misfit for the remainder to be the larger part, and to stand first.
 const LARGER_PART: f64 = 0.5;
+/// Minimum ratio of the remainder to the largest share of a name for it to stand first (a named choice):
+/// several names of a quarter each that leave as much are parts of something else.
+const AS_LARGE: f64 = 0.75;
 
 /// The misfit that is left with all named effects in the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -72,11 +75,11 @@ const HOPELESS: f64 = 10.0;
 const MAX_LEFT: (f64, f64) = (2.5, 0.1);
 
 /// Returns the place of `unknown`. `doubt`: reason against the strongest name; `left`: share of the
-/// remainder; the errors without a name and with all of them in the model.
+/// remainder, and the largest share of a name; the errors without a name and with all of them in the model.
 pub(super) fn place_of_unknown(
     parts: &[Part],
     doubt: Option<&str>,
-    left: f64,
+    (left, largest): (f64, f64),
     [before, error]: [f64; 2],
 ) -> Place {
     let hopeless = error > HOPELESS || (error > MAX_LEFT.0 && error > MAX_LEFT.1 * before);
@@ -84,6 +87,7 @@ pub(super) fn place_of_unknown(
     match left {
         _ if parts.is_empty() && left > 0.0 || doubt.is_some() || better => Place::First,
         left if left >= LARGER_PART || hopeless => Place::First,
+        left if left >= MATTERS && left >= AS_LARGE * largest => Place::First,
         left if left >= MATTERS => Place::Last,
         _ => Place::Nowhere,
     }
@@ -107,10 +111,12 @@ mod tests {
     /// down.
     #[test]
     fn a_remainder_has_its_place() {
-        let place = |share, error| place_of_unknown(&[], None, share, [60.0, error]);
+        let place = |share, error| place_of_unknown(&[], None, (share, 0.9), [60.0, error]);
         assert_eq!(place(0.001, 1.0), Place::First);
-        assert_eq!(place_of_unknown(&[], Some("its frames swing"), 0.0, [2.0, 1.0]), Place::First);
+        assert_eq!(place_of_unknown(&[], Some("its frames swing"), (0.0, 1.0), [2.0, 1.0]), Place::First);
         assert_eq!((place(0.0, 1.1), place(0.0, 11.0)), (Place::Nowhere, Place::First));
         assert_eq!((place(0.0, 3.5), place(0.0, 6.5)), (Place::Nowhere, Place::First));
+        // Names of a quarter each, and as much left.
+        assert_eq!(place_of_unknown(&[], None, (0.0, 0.24), [1.3, 1.07]), Place::Nowhere);
     }
 }
