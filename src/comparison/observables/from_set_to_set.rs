@@ -20,7 +20,7 @@ impl Statistic for FromSetToSet {
     }
 
     fn of_chunk(&self, chunk: &ChunkView<'_>, put: &mut Put<'_>) {
-        if let Some(ratio) = chunk.from_set_to_set() {
+        if let Some(ratio) = chunk.between_sets() {
             put.put(0, ratio.value, ratio.std_err);
         }
     }

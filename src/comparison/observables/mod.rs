@@ -177,7 +177,7 @@ impl ChunkView<'_> {
     }
 
     /// Returns the noise of the means from set to set over that within.
-    fn from_set_to_set(&self) -> Option<Value> {
+    fn between_sets(&self) -> Option<Value> {
         self.chunk.from_set_to_set
     }
 
