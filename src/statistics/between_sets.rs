@@ -15,6 +15,9 @@ pub(crate) struct MeanFrame<'a> {
     pub var_dn2: f64,
 }
 
+/// Relative error of the ratio by charge, offsets, light and patterns that move from set to set (a named
+/// choice).
+pub(crate) const MOVES: f64 = 0.02;
 /// Number of blocks of the jackknife: the error is known to a sixth of itself.
 const BLOCKS: usize = 20;
 /// Maximum sum of the squared weights of the other sets (a named choice: beyond, the pattern is

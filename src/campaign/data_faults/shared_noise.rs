@@ -6,7 +6,7 @@ use super::campaign::median_line;
 use super::facts::{NEIGHBOURS_VAR, NEXT_VAR, Neighbours};
 use super::set_view::SetView;
 use crate::dataset::{Between, SharedNoise};
-use crate::statistics::between_sets::{MeanFrame, noise_over_that_within};
+use crate::statistics::between_sets::{MOVES, MeanFrame, noise_over_that_within};
 use crate::statistics::jackknife::Value;
 use crate::statistics::median::{ERROR_OVER_MEAN, median};
 use crate::statistics::quantisation::SMALLEST_DARK_DN2;
@@ -106,8 +106,6 @@ fn of_frames(campaign: &Campaign<'_>, flats: &[usize]) -> Option<SharedNoise> {
 
 /// Number of sets that tell the noise of one of them from set to set.
 const COMPARED: usize = 4;
-/// Error of the ratio of noise from set to set by levels and patterns that move (a named choice).
-const MOVES: f64 = 0.02;
 
 fn mean_of_pair(s: &SetView) -> MeanFrame<'_> {
     MeanFrame {

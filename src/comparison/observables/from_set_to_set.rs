@@ -2,13 +2,11 @@
 //! that a filter over time makes alike have less noise within a set than between sets.
 
 use super::{ChunkView, Expected, Observable, Put, Statistic, View, in_quadrature};
+use crate::statistics::between_sets::MOVES;
 
 /// Noise from set to set over that within.
 #[derive(Debug)]
 pub struct FromSetToSet;
-
-/// Relative error of the ratio by charge, offsets and light that move from set to set (a named choice).
-const MOVES: f64 = 0.02;
 
 impl Statistic for FromSetToSet {
     fn id(&self) -> &'static str {
@@ -27,6 +25,7 @@ impl Statistic for FromSetToSet {
 
     fn expect(&self, o: &Observable, view: &View<'_>) -> Expected {
         let value = view.noise_of_mean();
+        // The error of a variance is in proportion to it: that of the prediction, not of the measured ratio.
         let std_err =
             in_quadrature(&[o.measured.std_err * value.max(1.0) / o.measured.value.max(1.0), MOVES * value]);
         Expected::plain(o, value, std_err)

@@ -514,8 +514,7 @@ const BELOW_ZERO: f64 = 3.0;
 /// brighter ones).
 const HALF_OF_SATURATION: std::ops::RangeInclusive<f64> = 0.25..=0.875;
 
-/// Minimum share of PRNU that is said to be missing under a lamp that flickers (a named choice: a fifth of
-/// what a sheet is asked to be right to).
+/// Minimum share of PRNU that is said to be missing under a lamp that flickers (a named choice).
 const MAX_LACK: f64 = 0.02;
 
 fn is_tool(definitions: Definitions) -> bool {
